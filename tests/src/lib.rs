@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 
 use embassy_futures::block_on;
 use wimu_host::calibration::parameter_id;
+use wimu_host::capture::{Boot, Capture, Link};
 use wimu_host::decode::{Decoder, Event, TimedSample};
-use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, Received, RecordingReader, RecordingWriter};
 use wimu_host::replay;
 use wimu_link::batch;
@@ -164,7 +164,7 @@ impl Rig {
     }
 
     /// All that was heard, written as a recording and read back.
-    pub fn recording(&self) -> Recording {
+    pub fn recording(&self) -> Capture {
         let name = "the recording";
         let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 1_700_000_000_000_000_000 };
         let mut writer =
@@ -176,7 +176,7 @@ impl Rig {
         }
         let file = writer.finish().expect("memory").into_inner();
         let reader = RecordingReader::new(Cursor::new(file), name).expect("own file");
-        Recording::read(reader, name).expect("own file")
+        Capture::read(reader, name).expect("own file")
     }
 }
 
@@ -189,7 +189,7 @@ pub struct Listener {
     role: LinkRole,
     listens: bool,
     decoder: Decoder,
-    record: LinkHistory,
+    record: Link,
     heard: Vec<Received>,
     replies: Vec<Reply>,
 }
@@ -200,7 +200,7 @@ impl Listener {
             role,
             listens: true,
             decoder: Decoder::new(),
-            record: LinkHistory::new(role),
+            record: Link::new(role),
             heard: Vec::new(),
             replies: Vec::new(),
         }
@@ -229,7 +229,7 @@ impl Listener {
     }
 
     /// What it has brought, sorted.
-    pub fn record(&self) -> &LinkHistory {
+    pub fn record(&self) -> &Link {
         &self.record
     }
 
@@ -284,9 +284,9 @@ impl Listener {
 /// # Panics
 /// When one bit differs, or there was nothing to compare.
 pub fn assert_replays(boot: &Boot) {
-    for epoch in 0..boot.epochs.len() {
+    for epoch in 0..boot.epochs().len() {
         let report = replay::verify(boot, epoch);
-        let mark = &boot.epochs[epoch].epoch;
+        let mark = &boot.epochs()[epoch].epoch;
         assert_eq!(report.first_difference, None, "from epoch {epoch}, {mark:?}: {report:?}");
         assert_eq!(report.epochs_unusable, 0, "from epoch {epoch}: {report:?}");
     }

@@ -63,8 +63,8 @@ fn a_board_with_a_bad_wireless_link_is_perfect_on_the_cable() {
     let (wireless, cable) = (rig.boot(LinkRole::Wireless), rig.boot(LinkRole::Cable));
     let statistics = rig.link(LinkRole::Wireless).record().statistics;
     for (some, all, counted) in [
-        (&wireless.raw, &cable.raw, statistics.raw),
-        (&wireless.corrected, &cable.corrected, statistics.corrected),
+        (wireless.raw(), cable.raw(), statistics.raw),
+        (wireless.corrected(), cable.corrected(), statistics.corrected),
     ] {
         assert_part_of(some, all);
         let lost: u32 = gaps(some).iter().map(|(_, lost)| lost).sum();

@@ -5,9 +5,9 @@ use serde_json::Value;
 use wimu_host::calibration::{
     CalibrateOptions, CalibrationReport, MethodChoice, ModelChoice, calibrate,
 };
+use wimu_host::capture;
 use wimu_host::csv::Filter;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::history;
 use wimu_host::recording::{Recording, Selection};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
@@ -17,7 +17,7 @@ use wimu_testkit::figure;
 use wimu_tests::{ROLES, Rig, assert_replays, data};
 
 /// Replays counts on a board until the last has arrived.
-fn replayed(counts: &[Counts]) -> history::Recording {
+fn replayed(counts: &[Counts]) -> capture::Capture {
     let config = BoardConfig { replay: true, ..BoardConfig::default() };
     let source = Replay::new(counts.iter().copied()).waiting_for_reader();
     let mut rig = Rig::new(config, source);
@@ -90,7 +90,7 @@ fn alike(file: &str) -> Option<Vec<&'static str>> {
             panic!("one start, not {}", link.boots.len());
         };
         let arrived: Vec<Counts> = boot
-            .raw
+            .raw()
             .iter()
             .map(|sample| Counts(sample.value.map(|axis| axis.try_into().unwrap())))
             .collect();

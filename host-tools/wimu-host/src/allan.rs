@@ -178,7 +178,7 @@ impl NoiseMeter {
     pub fn take(&mut self, event: &Event) -> Result<()> {
         match event {
             Event::Restart { .. } => self.next_sequence = None,
-            Event::Epoch { epoch, .. } => {
+            Event::Epoch { epoch, .. } if epoch.sensor == 0 => {
                 let refused = |message: &str, remedy: &str| {
                     Code::DataRefused.error(message, remedy).at(&self.name)
                 };
@@ -208,7 +208,7 @@ impl NoiseMeter {
                 *self.force = AllanVariance::new(rate_hz);
                 *self.rate = AllanVariance::of_gyroscope(rate_hz);
             }
-            Event::Samples(samples) if samples.stream == Stream::Raw => {
+            Event::Samples(samples) if (samples.sensor, samples.stream) == (0, Stream::Raw) => {
                 let Some((_, [mps2_per_lsb, rad_s_per_lsb], _)) = self.running else {
                     return Ok(());
                 };

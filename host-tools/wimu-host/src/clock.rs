@@ -154,7 +154,7 @@ impl ClockEstimator {
             }
         };
         match &arrival.event {
-            Event::Samples(samples) => {
+            Event::Samples(samples) if samples.sensor == 0 => {
                 if let Some(last) = samples.iter().last() {
                     let class = match samples.stream {
                         Stream::Raw => Class::Raw,

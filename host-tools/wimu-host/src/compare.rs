@@ -11,8 +11,8 @@ use wimu_calib::Transfer;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 
+use crate::capture::Link;
 use crate::clock::{ClockModel, ClockSummary};
-use crate::history::LinkHistory;
 use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::problem::without_unit;
 use crate::{Code, Problem, Result};
@@ -212,7 +212,7 @@ pub fn compare<R: Read>(
             Stream::Raw => statistics.raw,
             Stream::Corrected => statistics.corrected,
         };
-        let clock = overview.link(role).and_then(LinkHistory::clock);
+        let clock = overview.link(role).and_then(Link::clock);
         LinkReport {
             by_arrival: Some(residual.by_arrival(index)),
             ..counted.meters[index].report(role, &statistics, &stream, clock)

@@ -396,7 +396,7 @@ impl Decoder {
         for (received, batch) in std::mem::take(&mut track.unplaced) {
             self.take_batch(received, &batch, each);
         }
-        each(received.with(Event::Epoch { epoch, after_loss }.of_sensor(epoch.sensor)));
+        each(received.with(Event::Epoch { epoch, after_loss }));
     }
 
     /// The device has restarted, and its greeting has not arrived.

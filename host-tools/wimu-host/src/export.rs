@@ -9,10 +9,10 @@ use wimu_link::batch::Stream;
 use wimu_link::message::{Environment, Navigation};
 use wimu_model::{DeviceTimeUs, SpecificForceQ16};
 
+use crate::capture::{Boot, Capture};
 use crate::compare::LinkModel;
 use crate::csv::{self, CsvWriter};
 use crate::decode::TimedSample;
-use crate::history::{Boot, Recording};
 use crate::mcap_file::{RecordingReader, Wholeness};
 use crate::motion::FIELD_CALIBRATED;
 use crate::replay::find;
@@ -67,7 +67,7 @@ pub struct Exported {
 /// time. The link model is applied. Reads the recording twice, in memory that does not grow with its length.
 ///
 /// # Errors
-/// Those of [`Recording::survey`]; `no_rows` when the link or the sensor has no such stream; `usage` for a link model and
+/// Those of [`Capture::survey`]; `no_rows` when the link or the sensor has no such stream; `usage` for a link model and
 /// a sensor above 0; `data_refused` when
 /// the link model is of another device or link; `file_failed`, `file_unreadable`.
 pub fn to_csv(
@@ -76,14 +76,14 @@ pub fn to_csv(
     stream: ExportStream,
     path: &Path,
 ) -> Result<Exported> {
-    let survey = Recording::survey(recording)?;
+    let survey = Capture::survey(recording, Vec::new())?;
     let link = survey.link(source.role)?;
     let role = link.role;
     let sensors = link.sensors();
     let count = |boot: &Boot| match (stream, source.sensor) {
-        (ExportStream::Raw, sensor) => boot.sensors.get(&sensor).map_or(0, |counts| counts.raw),
+        (ExportStream::Raw, sensor) => boot.counts.of(sensor, Stream::Raw),
         (_, 1..) => 0,
-        (ExportStream::Corrected, 0) => boot.counts.corrected,
+        (ExportStream::Corrected, 0) => boot.counts.of(0, Stream::Corrected),
         (ExportStream::Navigation, 0) => boot.counts.navigation,
     };
     if link.boots.iter().map(count).sum::<usize>() == 0 {
@@ -112,8 +112,7 @@ pub fn to_csv(
         }
     }
     let (output, file) = OutputFile::create(path)?;
-    let rates = |boot: &Boot| boot.sensors.get(&source.sensor).map_or(0, |s| s.rates);
-    let has_gyroscope = link.boots.iter().any(|boot| rates(boot) > 0);
+    let has_gyroscope = link.boots.iter().any(|boot| boot.counts.rates_of(source.sensor) > 0);
     let has_attitude = link.boots.iter().any(|boot| boot.counts.attitudes > 0);
     let columns = columns(stream, source.sensor, has_gyroscope, has_attitude);
     let mut table = Table {
@@ -147,7 +146,7 @@ struct Table<'a> {
     source: &'a ExportSource<'a>,
     has_gyroscope: bool,
     has_attitude: bool,
-    survey: &'a Recording,
+    survey: &'a Capture,
     /// Those of the link.
     boots: &'a [Boot],
     writer: CsvWriter<BufWriter<File>>,

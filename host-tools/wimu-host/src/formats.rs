@@ -54,7 +54,7 @@ pub struct ReadOptions {
     pub stored_zero_count: Option<f64>,
     /// Whether the rows of a table are means over static poses, in any order of time.
     pub poses: bool,
-    /// Link of a recording of wimu; see [`Recording::link`](crate::history::Recording::link).
+    /// Link of a recording of wimu; see [`Capture::link`](crate::capture::Capture::link).
     pub role: Option<LinkRole>,
 }
 

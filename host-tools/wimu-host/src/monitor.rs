@@ -12,8 +12,8 @@ use wimu_link::batch::{MAX_BATCH, Stream};
 use wimu_link::message::{Attitude, Environment, Epoch, Navigation};
 use wimu_model::{DeviceTimeUs, ParameterId, SpecificForceMps2};
 
+use crate::capture::Link;
 use crate::decode::{Event, TimedSample, sequence_order};
-use crate::history::LinkHistory;
 use crate::units::{RawUnits, SampleUnit};
 
 /// Raw samples kept for the corrected sample of the same number.
@@ -91,7 +91,7 @@ pub struct Readings {
     raw: VecDeque<TimedSample>,
     units: RawUnits,
     /// The latest data.
-    link: LinkHistory,
+    link: Link,
     field: Option<Field>,
     heading: Option<Heading>,
     /// Whether the link carries corrected samples; `None` if unknown.
@@ -103,7 +103,7 @@ impl Default for Readings {
         Self {
             raw: VecDeque::new(),
             units: RawUnits::default(),
-            link: LinkHistory::new(LinkRole::Cable),
+            link: Link::new(LinkRole::Cable),
             field: None,
             heading: None,
             corrected_come: None,
@@ -131,7 +131,7 @@ impl Readings {
                 self.field =
                     corrected.or(put_out).map(|nt| Field { nt, calibrated: corrected.is_some() });
             }
-            Event::Epoch { epoch, .. } => {
+            Event::Epoch { epoch, .. } if epoch.sensor == 0 => {
                 self.heading = Heading::of(epoch);
                 self.units.see(epoch);
                 self.units.forget_old();
@@ -141,7 +141,7 @@ impl Readings {
                 let either = settings.cable.corrected || settings.wireless.corrected;
                 self.corrected_come = Some(either);
             }
-            Event::Samples(samples) => match samples.stream {
+            Event::Samples(samples) if samples.sensor == 0 => match samples.stream {
                 Stream::Raw => {
                     self.raw.extend(samples.iter());
                     if self.raw.len() >= UNDECIDED {
@@ -193,7 +193,7 @@ impl Readings {
             specific_force: SpecificForceMps2(unit.mps2(sample.value)),
             angular_rate: unit.rad_s(sample.rate),
             corrected: unit == SampleUnit::Corrected,
-            parameters: boot.epochs.last().map(|mark| mark.epoch.parameter_id()),
+            parameters: boot.epochs().last().map(|mark| mark.epoch.parameter_id()),
             environment: boot.environment.last().copied(),
             field: self.field,
             heading: self.heading,

@@ -7,8 +7,8 @@ use wimu_model::{
     PositionNm, SpecificForceMps2, SpecificForceQ16, VelocityNmps,
 };
 
+use crate::capture::Boot;
 use crate::decode::TimedSample;
-use crate::history::Boot;
 use crate::motion::{MotionRecording, UnitSample};
 use crate::multi_range::{FullScales, Merge};
 use crate::recording::{Quantity, Recording};
@@ -87,7 +87,7 @@ pub fn recomputed(
     parameters: Option<&ParameterSet>,
     zupt: bool,
 ) -> Result<Vec<Point>> {
-    let (Some(first), Some(latest)) = (boot.epochs.first(), boot.epochs.last()) else {
+    let (Some(first), Some(latest)) = (boot.epochs().first(), boot.epochs().last()) else {
         return Err(Code::NoRows.error(
             "the recording has no epoch, so the sample period is unknown",
             "record for longer than a second",
@@ -104,7 +104,7 @@ pub fn recomputed(
     let mut integrator = Integrator::new(config);
     let mut next = None;
     Ok(boot
-        .raw
+        .raw()
         .iter()
         .filter(|raw| correction.takes(raw))
         .map(|raw| {
@@ -145,20 +145,20 @@ pub fn motion(
     type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
     let is_given = parameters.is_some();
     let latest = if is_given { None } else { replaced(boot) };
-    let correction = match (parameters, &latest, boot.epochs.first()) {
+    let correction = match (parameters, &latest, boot.epochs().first()) {
         (Some(parameters), _, Some(first)) => Some(correction(boot, &first.epoch, parameters)?),
         (None, Some((epoch, _)), _) => Some(Correction::at(boot, epoch, first_temperature(boot))?),
         _ => None,
     };
     let parameters = parameters.or(latest.as_ref().map(|(_, set)| set));
-    let forces: Vec<Corrected> = match (correction, boot.epochs.first()) {
+    let forces: Vec<Corrected> = match (correction, boot.epochs().first()) {
         (Some(correction), _) => {
             let correct = |raw: &TimedSample| (raw.time, correction.correct(raw));
-            boot.raw.iter().map(correct).collect()
+            boot.raw().iter().map(correct).collect()
         }
         (None, _) if is_given => Vec::new(),
-        (None, first) if first.is_none() || boot.raw.is_empty() => boot
-            .corrected
+        (None, first) if first.is_none() || boot.raw().is_empty() => boot
+            .corrected()
             .iter()
             .map(|sent| {
                 let rate = sent.rate.map(AngularRateQ20);
@@ -206,7 +206,7 @@ pub fn motion(
         times_s.push(now);
     }
     let mut recording = MotionRecording::new(name, times_s, samples);
-    let range_g = boot.epochs.iter().map(|mark| mark.epoch.range_g).max();
+    let range_g = boot.epochs().iter().map(|mark| mark.epoch.range_g).max();
     recording.full_scale_mps2 = range_g.map(|g| f64::from(g) * BEYOND_RANGE);
     let has_field = boot.environment.iter().any(|e| e.magnetic_field_nt.is_some());
     recording.field_uncalibrated =
@@ -214,7 +214,7 @@ pub fn motion(
     if recording.field_uncalibrated && !is_given {
         recording.findings.extend(boot.unknown_source());
     }
-    if !boot.further.is_empty() && !boot.raw.is_empty() {
+    if boot.samples.keys().any(|(sensor, _)| *sensor > 0) && !boot.raw().is_empty() {
         widen(&mut recording, boot, parameters)?;
     }
     Ok(recording)
@@ -223,11 +223,11 @@ pub fn motion(
 /// The latest parameters of a device that had others before, with an epoch, if they are known and belong to the range of
 /// all samples.
 fn replaced(boot: &Boot) -> Option<(&Epoch, ParameterSet)> {
-    let (first, last) = (&boot.epochs.first()?.epoch, &boot.epochs.last()?.epoch);
-    if first.parameters == last.parameters || boot.raw.is_empty() {
+    let (first, last) = (&boot.epochs().first()?.epoch, &boot.epochs().last()?.epoch);
+    if first.parameters == last.parameters || boot.raw().is_empty() {
         return None;
     }
-    let one_range = boot.epochs.iter().all(|mark| mark.epoch.range_g == last.range_g);
+    let one_range = boot.epochs().iter().all(|mark| mark.epoch.range_g == last.range_g);
     let set = boot.parameters_of(last).ok().filter(|_| one_range)?;
     Some((last, set))
 }
@@ -238,7 +238,7 @@ fn widen(
     boot: &Boot,
     parameters: Option<&ParameterSet>,
 ) -> Result<()> {
-    let (Some(first), Some(mark)) = (boot.raw.first(), boot.epochs.first()) else {
+    let (Some(first), Some(mark)) = (boot.raw().first(), boot.epochs().first()) else {
         return Ok(());
     };
     let merge = Recording::of_boot(boot, &motion.name)

@@ -9,8 +9,8 @@ use wimu_model::{
 };
 
 use crate::calibration::compiled_for;
+use crate::capture::{Boot, EpochMark};
 use crate::decode::{TimedSample, sequence_order};
-use crate::history::{Boot, EpochMark};
 use crate::{Code, Problem, Result};
 
 /// Longest interval between epochs, ns of samples; without the next one by then
@@ -227,7 +227,7 @@ impl<'a> Replay<'a> {
     /// Takes the next epoch.
     fn take_epoch(&mut self) -> Option<Step> {
         let index = self.epoch;
-        let mark = self.boot.epochs.get(index)?;
+        let mark = self.boot.epochs().get(index)?;
         self.epoch += 1;
         let began_anew = matches!(
             mark.epoch.reason,
@@ -241,7 +241,7 @@ impl<'a> Replay<'a> {
             _ => Running::from_epoch(self.boot, mark).map(|running| {
                 let start = running.next_sequence;
                 let is_before = |raw: &TimedSample| sequence_order(raw.sequence, start).is_lt();
-                self.raw = self.boot.raw.partition_point(is_before);
+                self.raw = self.boot.raw().partition_point(is_before);
                 self.running = Some(running);
                 None
             }),
@@ -264,12 +264,12 @@ impl Iterator for Replay<'_> {
             return self.take_epoch();
         };
         let sequence = running.next_sequence;
-        if let Some(mark) = self.boot.epochs.get(self.epoch)
+        if let Some(mark) = self.boot.epochs().get(self.epoch)
             && mark.epoch.sequence == sequence
         {
             return self.take_epoch();
         }
-        let raw = self.boot.raw.get(self.raw).copied();
+        let raw = self.boot.raw().get(self.raw).copied();
         match raw {
             Some(raw)
                 if raw.sequence == sequence
@@ -287,11 +287,11 @@ impl Iterator for Replay<'_> {
                     navigation: running.integrator.navigation(),
                 }))
             }
-            None if self.epoch >= self.boot.epochs.len() => None,
+            None if self.epoch >= self.boot.epochs().len() => None,
             _ => {
                 self.running = None;
                 // Epochs before this sample are skipped.
-                let epochs = &self.boot.epochs;
+                let epochs = self.boot.epochs();
                 while epochs
                     .get(self.epoch)
                     .is_some_and(|mark| sequence_order(mark.epoch.sequence, sequence).is_lt())
@@ -381,7 +381,7 @@ pub fn verify(boot: &Boot, epoch: usize) -> ReplayReport {
         match step {
             Step::Sample(replayed) => compare(boot, &replayed, &mut span),
             Step::Epoch { index, agrees } => {
-                let mark = &boot.epochs[index];
+                let mark = &boot.epochs()[index];
                 if mark.after_loss {
                     report.samples_uncertain += span.samples;
                 } else {
@@ -408,7 +408,7 @@ fn compare(boot: &Boot, replayed: &Replayed, span: &mut ReplayReport) {
     let sequence = replayed.raw.sequence;
     span.samples += 1;
     let before = span.differences();
-    if let Some(sent) = find(&boot.corrected, sequence, |sample| sample.sequence) {
+    if let Some(sent) = find(boot.corrected(), sequence, |sample| sample.sequence) {
         span.corrected_compared += 1;
         span.corrected_differ += u64::from(sent.value != replayed.force.0);
         if let Some(rate) = sent.rate {

@@ -28,10 +28,10 @@ use wimu_link::batch::Stream;
 use wimu_link::message::{Attitude, Environment, Navigation};
 use wimu_model::{DeviceTimeUs, Matrix3};
 
+use crate::capture::{Boot, Capture, Link, StartData};
 use crate::clock::ClockModel;
 use crate::compare::LinkModel;
 use crate::decode::{Event, Samples, sequence_order};
-use crate::history::{Boot, LinkHistory, Recording, StartData};
 use crate::mcap_file::{RecordingReader, RecordingWriter, Wholeness};
 use crate::problem::without_unit;
 use crate::replay::find;
@@ -118,12 +118,11 @@ impl Kind {
 /// model is of another device.
 pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<Decoded> {
     let name = from.display().to_string();
-    let survey = Recording::survey_of(RecordingReader::open(from)?, &name, |_, _, _| {})?;
+    let survey = Capture::survey_of(RecordingReader::open(from)?, &name, |_, _, _| {})?;
     if let Some(model) = link_model {
         (survey.devices.iter()).try_for_each(|device| model.check_device(*device))?;
     }
-    let has_positions =
-        |link: &&LinkHistory| link.boots.iter().any(|boot| boot.counts.navigation > 0);
+    let has_positions = |link: &&Link| link.boots.iter().any(|boot| boot.counts.navigation > 0);
     let mut reader = RecordingReader::open(from)?;
     let Some(anchor) = reader.anchor()? else {
         return Err(Code::BadRecording
@@ -140,7 +139,7 @@ pub fn decode(from: &Path, to: &Path, link_model: Option<&LinkModel>) -> Result<
         links: BTreeMap::new(),
         paths: BTreeMap::new(),
         // The cable is the first link.
-        positioned: survey.links.iter().find(has_positions).map(|link| link.role),
+        positioned: survey.links.values().find(has_positions).map(|link| link.role),
         link_model,
         decoded: Decoded::default(),
     };
@@ -192,7 +191,7 @@ pub(crate) fn imu(
 
 /// Standard deviations of the gyroscope's terms and its rotation to the body, by the parameters in use.
 fn gyroscope_of(boot: &Boot) -> Option<([f64; 12], Matrix3)> {
-    let set = boot.parameters_of(&boot.epochs.last()?.epoch).ok()?;
+    let set = boot.parameters_of(&boot.epochs().last()?.epoch).ok()?;
     Some((set.gyroscope?.sd?.map(f64::from), set.alignment.matrix()))
 }
 
@@ -212,7 +211,7 @@ pub(crate) fn rate_covariance(rate: [f64; 3], sd: &[f64; 12], rotation: &Matrix3
 
 /// Number of the latest sample of either stream.
 fn latest_sequence(boot: &Boot) -> Option<u32> {
-    let last = [&boot.raw, &boot.corrected].map(|samples| Some(samples.last()?.sequence));
+    let last = [boot.raw(), boot.corrected()].map(|samples| Some(samples.last()?.sequence));
     let later = |a: u32, b: u32| if sequence_order(a, b).is_gt() { a } else { b };
     last.into_iter().flatten().reduce(later)
 }
@@ -227,7 +226,7 @@ fn next_position(boot: &mut Boot) -> Option<(Navigation, DeviceTimeUs, [f64; 3])
         }
         boot.navigation.remove(0);
         if let Some(time) = boot.time_of(next.sequence) {
-            let corrected = find(&boot.corrected, next.sequence, |sample| sample.sequence);
+            let corrected = find(boot.corrected(), next.sequence, |sample| sample.sequence);
             let rate = corrected.and_then(|sample| SampleUnit::Corrected.rad_s(sample.rate));
             return Some((next, time, rate.unwrap_or_default()));
         }
@@ -239,9 +238,9 @@ struct Writer<'a> {
     out: RecordingWriter<std::fs::File>,
     starts: &'a BTreeMap<Start, StartData>,
     /// The latest data of each link.
-    links: BTreeMap<u8, LinkHistory>,
+    links: BTreeMap<LinkRole, Link>,
     /// Positions of each link's start.
-    paths: BTreeMap<(u8, Start), PathTopics>,
+    paths: BTreeMap<(LinkRole, Start), PathTopics>,
     /// The link whose positions are transforms.
     positioned: Option<LinkRole>,
     link_model: Option<&'a LinkModel>,
@@ -272,13 +271,12 @@ impl Writer<'_> {
         };
         let source =
             Source { role, start, known: self.starts.get(&start), arrived_ns: arrival.host_ns };
-        let mut link =
-            (self.links.remove(&role.number())).unwrap_or_else(|| LinkHistory::new(role));
+        let mut link = (self.links.remove(&role)).unwrap_or_else(|| Link::new(role));
         link.take_event(&arrival.event);
         link.boots.drain(..link.boots.len() - 1);
         let boot = link.latest();
         boot.keep_latest(KEPT);
-        match arrival.event.of_any_sensor() {
+        match &arrival.event {
             Event::Samples(samples) => {
                 self.positions(source, boot)?;
                 self.samples(source, boot, samples)?;
@@ -296,7 +294,7 @@ impl Writer<'_> {
             Event::Environment(environment) => self.environment(source, boot, environment)?,
             _ => {}
         }
-        self.links.insert(role.number(), link);
+        self.links.insert(role, link);
         Ok(())
     }
 
@@ -372,7 +370,7 @@ impl Writer<'_> {
                 velocity_sd_mps: [0.0; 3],
                 rate_rad_s,
             };
-            let key = (source.role.number(), source.start);
+            let key = (source.role, source.start);
             let transforms = self.positioned == Some(source.role);
             let new = || PathTopics::new(&format!("/{}", source.role), transforms);
             let path = self.paths.entry(key).or_insert_with(new);

@@ -13,8 +13,8 @@ use wimu_link::message::{Environment, Epoch, Navigation};
 use wimu_model::DeviceTimeUs;
 
 use crate::Result;
+use crate::capture::{Boot, Link};
 use crate::decode::{Event, TimedSample, sequence_order};
-use crate::history::{Boot, LinkHistory};
 use crate::mcap_file::RecordingReader;
 use crate::walk::{Start, Step, Walker};
 
@@ -43,12 +43,7 @@ pub struct Part<'a> {
 impl Part<'_> {
     /// The samples of a track.
     pub fn samples(&self, sensor: u8, stream: Stream) -> &[TimedSample] {
-        let all = match (sensor, stream) {
-            (0, Stream::Raw) => &self.boot.raw[..],
-            (0, Stream::Corrected) => &self.boot.corrected,
-            (_, Stream::Corrected) => &[],
-            (further, Stream::Raw) => (self.boot.further.get(&further)).map_or(&[][..], |t| &t.raw),
-        };
+        let all = self.boot.of(sensor, stream);
         let latest = self.before.get(&(sensor, stream));
         let is_before = |sample: &TimedSample| {
             latest.is_some_and(|latest| sequence_order(sample.sequence, *latest).is_le())
@@ -121,7 +116,7 @@ pub fn read<R: Read>(
 
 /// The data of a link that still wait, and those that later ones need.
 struct Window {
-    link: LinkHistory,
+    link: Link,
     index: usize,
     before: HashMap<(u8, Stream), u32>,
     from_us: Option<u64>,
@@ -129,7 +124,7 @@ struct Window {
 
 impl Window {
     fn new(role: LinkRole) -> Self {
-        Self { link: LinkHistory::new(role), index: 0, before: HashMap::new(), from_us: None }
+        Self { link: Link::new(role), index: 0, before: HashMap::new(), from_us: None }
     }
 
     fn take(&mut self, event: &Event, each: &mut impl FnMut(&Part) -> Result<()>) -> Result<()> {
@@ -142,16 +137,18 @@ impl Window {
             self.from_us = None;
         }
         let boot = self.link.latest();
-        let further = boot.further.values().map(|track| track.raw.len());
-        let samples = boot.raw.len() + boot.corrected.len() + further.sum::<usize>();
+        let samples: usize = boot.samples.values().map(Vec::len).sum();
         let others = boot.navigation.len() + boot.environment.len();
-        if samples + others < FULL || !matches!(event, Event::Epoch { .. }) {
+        if samples + others < FULL
+            || !matches!(event, Event::Epoch { epoch, .. } if epoch.sensor == 0)
+        {
             return Ok(());
         }
-        let latest_us = boot.epochs.last().map_or(0, |mark| mark.epoch.time_us);
+        let epochs = boot.epochs();
+        let latest_us = epochs.last().map_or(0, |mark| mark.epoch.time_us);
         let ended = latest_us.saturating_sub(WAIT_US);
-        let after = (boot.epochs).partition_point(|mark| mark.epoch.time_us <= ended);
-        match after.checked_sub(1).map(|last| boot.epochs[last].epoch) {
+        let after = epochs.partition_point(|mark| mark.epoch.time_us <= ended);
+        match after.checked_sub(1).map(|last| epochs[last].epoch) {
             Some(end) => self.hand_on(Some(end), each),
             None => Ok(()),
         }
@@ -179,35 +176,27 @@ impl Window {
         each(&part)?;
         let Some(end) = end else { return Ok(()) };
         let navigation = part.navigation().len();
-        let further = boot.further.keys().map(|sensor| (*sensor, Stream::Raw));
-        let tracks = [(0, Stream::Raw), (0, Stream::Corrected)].into_iter().chain(further);
-        let latest = tracks.filter_map(|(sensor, stream)| {
-            let last = part.samples(sensor, stream).last()?;
-            Some(((sensor, stream), last.sequence))
-        });
-        self.before.extend(Vec::from_iter(latest));
+        for (sensor, stream) in boot.samples.keys() {
+            if let Some(last) = part.samples(*sensor, *stream).last() {
+                self.before.insert((*sensor, *stream), last.sequence);
+            }
+        }
         self.from_us = Some(end.time_us);
         boot.navigation.drain(..navigation);
         let is_before = |of: u32| sequence_order(of, end.sequence).is_lt();
         boot.attitude.retain(|sent| !is_before(sent.sequence));
-        for ((sensor, stream), latest) in &self.before {
-            let samples = match (sensor, stream) {
-                (0, Stream::Raw) => &mut boot.raw,
-                (0, Stream::Corrected) => &mut boot.corrected,
-                (further, _) => match boot.further.get_mut(further) {
-                    Some(track) => {
-                        track.epochs.clear();
-                        &mut track.raw
-                    }
-                    None => continue,
-                },
-            };
-            let handed_on = |sample: &TimedSample| sequence_order(sample.sequence, *latest).is_le();
-            samples.drain(..samples.partition_point(handed_on));
+        for (key, samples) in &mut boot.samples {
+            if let Some(latest) = self.before.get(key) {
+                let is_handed_on =
+                    |sample: &TimedSample| sequence_order(sample.sequence, *latest).is_le();
+                samples.drain(..samples.partition_point(is_handed_on));
+            }
         }
         // The one before still applies.
-        let ended = (boot.epochs).partition_point(|mark| mark.epoch.time_us < end.time_us);
-        boot.epochs.drain(..ended.saturating_sub(1));
+        for marks in boot.marks.values_mut() {
+            let ended = marks.partition_point(|mark| mark.epoch.time_us < end.time_us);
+            marks.drain(..ended.saturating_sub(1));
+        }
         let passed = (boot.environment).partition_point(|sent| sent.time_us < end.time_us);
         boot.environment.drain(..passed.saturating_sub(1));
         Ok(())

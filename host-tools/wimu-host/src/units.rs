@@ -21,7 +21,8 @@ pub struct RawUnit {
 }
 
 impl RawUnit {
-    pub(crate) fn of(epoch: &Epoch) -> Option<Self> {
+    /// That of an epoch; `None` if its sensitivity is invalid.
+    pub fn of(epoch: &Epoch) -> Option<Self> {
         Some(Self {
             sensitivity: Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok()?,
             full_scale: epoch.full_scale.unsigned_abs(),

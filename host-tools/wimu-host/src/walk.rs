@@ -42,7 +42,7 @@ pub fn walk<R: Read>(
 /// Converts the entries of a recording to steps.
 #[derive(Debug, Default)]
 pub struct Walker {
-    links: BTreeMap<u8, Link>,
+    links: BTreeMap<LinkRole, Link>,
     starts: Starts,
     keys: Vec<DeviceKey>,
 }
@@ -68,7 +68,7 @@ impl Walker {
         each: &mut impl FnMut(LinkRole, Start, Step) -> Result<()>,
     ) -> Result<()> {
         let role = entry.role();
-        let link = self.links.entry(role.number()).or_insert_with(|| {
+        let link = self.links.entry(role).or_insert_with(|| {
             let mut decoder = Decoder::new();
             decoder.use_keys(self.keys.clone());
             Link { role, decoder, place: Place::default(), held: Vec::new() }
@@ -99,9 +99,10 @@ impl Walker {
         }
     }
 
-    /// The latest wire version other than ours on each link, by its number.
-    pub(crate) fn foreign_versions(&self) -> BTreeMap<u8, u8> {
-        let version = |(role, link): (&u8, &Link)| Some((*role, link.decoder.foreign_version()?));
+    /// The latest wire version other than ours on each link.
+    pub(crate) fn foreign_versions(&self) -> BTreeMap<LinkRole, u8> {
+        let version =
+            |(role, link): (&LinkRole, &Link)| Some((*role, link.decoder.foreign_version()?));
         self.links.iter().filter_map(version).collect()
     }
 

@@ -8,11 +8,12 @@ use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationFile, CalibrationReport, Session, further_sensors,
     read_model, read_parameters, sessions,
 };
+use wimu_host::capture::Link;
 use wimu_host::decode::Decoder;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::history::LinkHistory;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_host::{Code, Result};
+use wimu_link::batch::Stream;
 use wimu_link::{LinkRole, Telemetry};
 use wimu_model::{
     Alignment, Counts, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters, GyroscopeTerms,
@@ -185,7 +186,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     std::fs::write(&path, text).unwrap();
     let from_csv = formats::load(&path, &ReadOptions::default()).unwrap();
 
-    let mut record = LinkHistory::new(LinkRole::Wireless);
+    let mut record = Link::new(LinkRole::Wireless);
     let mut decoder = Decoder::new();
     let mut push = |frame: &[u8]| decoder.push(0, frame, |arrival| record.take(&arrival));
     push(&frames::hello(LinkRole::Wireless, 0, 0));
@@ -224,16 +225,17 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
     // Missing samples end a hold instead of passing for a step.
     let mut gap = record.clone();
     let boot = gap.latest();
-    let cut = boot.raw.len() - 100;
-    boot.raw.drain(cut..cut + 5);
+    let raw = boot.samples.get_mut(&(0, Stream::Raw)).unwrap();
+    let cut = raw.len() - 100;
+    raw.drain(cut..cut + 5);
     let data = Recording::of_link(&gap, "link").unwrap();
     assert_eq!(data.samples(Selection::default()).unwrap().gaps().0, 1);
 
     // Another range half-way is no calibration.
     let boot = gap.latest();
-    let mut mark = boot.epochs[0].clone();
+    let mut mark = boot.epochs()[0].clone();
     mark.epoch.range_g = 8;
-    boot.epochs.push(mark);
+    boot.marks.entry(0).or_default().push(mark);
     let error = Recording::of_link(&gap, "link").unwrap_err();
     assert_eq!((error.code, error.exit_code()), (Code::DataRefused, 3));
 }

@@ -1,8 +1,8 @@
 //! The decoder: numbers and times that no device sends.
 
 use proptest::prelude::*;
+use wimu_host::capture::Link;
 use wimu_host::decode::{Decoder, Event};
-use wimu_host::history::LinkHistory;
 use wimu_host::monitor::Readings;
 use wimu_host::replay::verify;
 use wimu_link::message::{Environment, Epoch, Event as DeviceEvent};
@@ -188,7 +188,7 @@ proptest! {
     ) {
         let mut decoder = Decoder::new();
         let mut readings = Readings::new();
-        let mut history = LinkHistory::new(LinkRole::Cable);
+        let mut history = Link::new(LinkRole::Cable);
         let mut host_ns = 0_u64;
         for (frame, later_ns) in frames {
             host_ns += later_ns;
@@ -198,10 +198,10 @@ proptest! {
             });
         }
         for boot in &history.boots {
-            for mark in &boot.epochs {
+            for mark in boot.epochs() {
                 boot.time_of(mark.epoch.sequence);
             }
-            for index in 0..boot.epochs.len() {
+            for index in 0..boot.epochs().len() {
                 verify(boot, index);
             }
         }

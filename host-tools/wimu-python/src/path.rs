@@ -7,7 +7,7 @@ use wimu_host::inertial::{
     self, Choice, InertialPath, Method, PathPoint, Profile, StartPose, Zupt,
 };
 use wimu_host::motion::{MotionRecording, TableOptions};
-use wimu_host::{Code, Input, history, navigation};
+use wimu_host::{Code, Input, capture, navigation};
 
 use crate::arrays::{Array1, Array2, Array3, column, matrices, plain, table};
 use crate::calibration::Correction;
@@ -243,9 +243,9 @@ fn motion(
     if let Some(path) = source.path()
         && let Input::Recording(path) = Input::parse(&path.to_string_lossy())?
     {
-        let recording = history::Recording::load(&path)?;
+        let recording = capture::Capture::load(&path)?;
         let boots = recording.link(source.options().role)?.boots.iter();
-        let longest = boots.max_by_key(|boot| boot.raw.len().max(boot.corrected.len()));
+        let longest = boots.max_by_key(|boot| boot.raw().len().max(boot.corrected().len()));
         let boot = longest.ok_or_else(|| {
             let error = Code::NoRows.error("the recording has no samples", "record again");
             error.at(&recording.name)

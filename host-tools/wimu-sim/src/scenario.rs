@@ -7,8 +7,8 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationReport, MethodChoice, calibrate};
+use wimu_host::capture::{Boot, Capture};
 use wimu_host::decode::TimedSample;
-use wimu_host::history::{Boot, Recording};
 use wimu_host::navigation::{self, Point};
 use wimu_host::recording::{self, Selection};
 use wimu_host::replay::{self, ReplayReport};
@@ -161,7 +161,7 @@ impl FirstLight {
         }))?;
         let rotations = has_gyroscope.then(|| host.rotate()).transpose()?;
         let recording = host.recording()?;
-        let samples = boots(&recording).map(|boot| boot.raw.len()).sum();
+        let samples = boots(&recording).map(|boot| boot.raw().len()).sum();
         let (report, mut set) = self.calibrate(&recording)?;
         if let Some(rotations) = rotations {
             set.gyroscope = Some(gyroscope::calibrate(rotations, &recording)?);
@@ -239,7 +239,7 @@ impl FirstLight {
     }
 
     /// Calibrates from the data of the cable.
-    fn calibrate(&self, recording: &Recording) -> Result<(CalibrationReport, ParameterSet)> {
+    fn calibrate(&self, recording: &Capture) -> Result<(CalibrationReport, ParameterSet)> {
         let options = CalibrateOptions {
             method: match self.calibration {
                 Calibration::SixPositions => MethodChoice::SixPosition,
@@ -261,8 +261,8 @@ impl FirstLight {
 }
 
 /// All starts of the board, on both links.
-fn boots(recording: &Recording) -> impl Iterator<Item = &Boot> {
-    recording.links.iter().flat_map(|link| &link.boots)
+fn boots(recording: &Capture) -> impl Iterator<Item = &Boot> {
+    recording.links.values().flat_map(|link| &link.boots)
 }
 
 impl Outcome {
@@ -287,7 +287,7 @@ struct Played {
 
 impl Played {
     /// The data of that start on the cable.
-    fn boot(self, recording: &Recording) -> Result<&Boot> {
+    fn boot(self, recording: &Capture) -> Result<&Boot> {
         let boots = &recording.link(Some(LinkRole::Cable))?.boots;
         boots.get(self.start).ok_or_else(|| lacks("a start"))
     }
@@ -305,7 +305,7 @@ impl Played {
     }
 
     /// The path computed by the device.
-    fn path(self, recording: &Recording) -> Result<Vec<Point>> {
+    fn path(self, recording: &Capture) -> Result<Vec<Point>> {
         let duration_s = self.end_s - self.begin_s;
         let mut path = navigation::device(self.boot(recording)?);
         path.retain(|point| (0.0..duration_s).contains(&self.since_begin_s(point.time)));
@@ -315,7 +315,7 @@ impl Played {
     /// |f| − g over each hold: raw at nominal sensitivity, and as the device corrected it, m/s².
     fn tilts(
         self,
-        recording: &Recording,
+        recording: &Capture,
         holds: &[Hold],
         set: &ParameterSet,
     ) -> Result<Vec<[f64; 2]>> {
@@ -341,7 +341,7 @@ impl Played {
             .map(|hold| {
                 let nominal = set.sensitivity.mps2_per_lsb();
                 let fixed = 1.0 / SpecificForceQ16::LSB_PER_MPS2;
-                [mean(&boot.raw, hold, nominal), mean(&boot.corrected, hold, fixed)]
+                [mean(boot.raw(), hold, nominal), mean(boot.corrected(), hold, fixed)]
             })
             .collect())
     }

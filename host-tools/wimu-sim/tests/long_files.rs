@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use wimu_host::capture::Capture;
 use wimu_host::compare::compare;
 use wimu_host::export::{ExportSource, ExportStream, to_csv};
-use wimu_host::history::Recording;
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
 use wimu_link::batch::Stream;
 use wimu_link::message::{Epoch, EpochReason};
@@ -93,7 +93,10 @@ fn do_step(step: &str, path: &Path, minutes: u32) -> u64 {
             assert_eq!(found.identical, found.pairs);
             found.pairs
         }
-        "info" => Recording::survey(path).unwrap().links[1].samples(Stream::Raw) as u64,
+        "info" => {
+            let capture = Capture::survey(path, Vec::new()).unwrap();
+            capture.links[&LinkRole::Wireless].count(0, Stream::Raw) as u64
+        }
         _ => {
             let table = path.with_extension("csv");
             let wireless =

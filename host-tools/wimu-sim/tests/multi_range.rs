@@ -4,12 +4,13 @@ use std::cell::RefCell;
 use std::f64::consts::FRAC_PI_2;
 
 use wimu_host::Code;
-use wimu_host::history::{Boot, Recording as Session};
+use wimu_host::capture::{Boot, Capture as Session};
 use wimu_host::inertial::{Choice, navigate};
 use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::navigation;
 use wimu_host::recording::Recording;
 use wimu_link::LinkRole;
+use wimu_link::batch::Stream;
 use wimu_link::message::{Event, Settings};
 use wimu_model::{ParameterSet, Sensitivity};
 use wimu_sim::attitude::Attitude;
@@ -202,9 +203,9 @@ fn a_pair_streams_both_accelerometers_without_a_gap() {
             host.run_until(end_s).expect("a board");
         });
         let boot = cable(&session);
-        let second = &boot.further[&1];
+        let second = boot.of(1, Stream::Raw);
         let usual_us = 1_000_000 / u64::from(rate_hz);
-        for samples in [&boot.raw, &second.raw] {
+        for samples in [boot.raw(), second] {
             let samples = &samples[samples.len() / 4..];
             assert!(samples.len() > 10 * usize::from(rate_hz), "{}", samples.len());
             assert!(samples.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
@@ -219,7 +220,7 @@ fn a_pair_streams_both_accelerometers_without_a_gap() {
             // The data-ready edges of both coincide now and then: most often at 400 Hz, where a read takes long.
             assert!(10 * odd <= samples.len(), "{odd} of {}", samples.len());
         }
-        let epoch = second.epochs[second.epochs.len() - 1].epoch;
+        let epoch = boot.epochs_of(1).last().expect("epochs").epoch;
         assert_eq!((epoch.range_g, epoch.sensor), (16, 1));
         assert_eq!(u64::from(epoch.period_ns), usual_us * 1000);
     }
@@ -242,8 +243,8 @@ fn the_first_goes_on_without_the_second_which_comes_back() {
             |s: &&wimu_host::decode::TimedSample| (from_s..to_s).contains(&s.time.to_seconds());
         samples.iter().filter(within).count()
     };
-    let second = &boot.further[&1].raw;
-    assert!(span(&boot.raw, 5.0, 9.0) > 390);
+    let second = boot.of(1, Stream::Raw);
+    assert!(span(boot.raw(), 5.0, 9.0) > 390);
     assert_eq!(span(second, 5.0, 9.0), 0);
     assert!(span(second, 16.0, 19.0) > 280);
 }
@@ -257,7 +258,7 @@ fn navigation_through_an_impact_needs_the_coarse_one() {
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
     let set = ParameterSet { model: truth.model, ..ParameterSet::uncalibrated(2, sensitivity) };
     let mut alone = boot.clone();
-    alone.further.clear();
+    alone.samples.retain(|(sensor, _), _| *sensor == 0);
     let run = Impact::default();
     let expected_m = run.pose(run.duration()).position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
     assert!(scene.end_s() > 60.0);

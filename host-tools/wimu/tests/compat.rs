@@ -9,9 +9,10 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::Value;
 use sha2::{Digest, Sha256};
+use wimu_host::capture::{Boot, Capture};
 use wimu_host::fleet::mqtt::{Heard, Mqtt, MqttConfig};
-use wimu_host::history::{Boot, Recording};
 use wimu_host::replay::{Replay, Step, verify};
+use wimu_link::batch::Stream;
 
 use crate::kit::fleet::{Gateway, Mosquitto};
 use crate::kit::{Background, Simulator, folder, wait_until, wimu};
@@ -190,8 +191,8 @@ fn topics(command: &str, bytes: &[u8], found: &mut String) {
 fn recordings_replay_bit_for_bit() {
     let mut found = String::new();
     for name in RECORDINGS {
-        let recording = Recording::load(&frozen().join(name)).expect("a recording");
-        for link in &recording.links {
+        let recording = Capture::load(&frozen().join(name)).expect("a recording");
+        for link in recording.links.values() {
             for boot in &link.boots {
                 writeln!(found, "{name} {}\n{}", link.role, replayed(boot)).unwrap();
             }
@@ -223,8 +224,8 @@ fn replayed(boot: &Boot) -> String {
     let report = verify(boot, 0);
     assert!(report.is_exact(), "{report:?}");
     let mut text = String::new();
-    let raw = [(0, &boot.raw)].into_iter().chain(boot.further.iter().map(|(k, t)| (*k, &t.raw)));
-    for (sensor, samples) in raw {
+    let raw = boot.samples.iter().filter(|((_, stream), _)| *stream == Stream::Raw);
+    for ((sensor, _), samples) in raw {
         let sent = samples.iter().map(|s| format!("{} {:?} {:?}\n", s.sequence, s.value, s.rate));
         let sent = hash(sent.collect::<String>());
         writeln!(text, "  sensor {sensor}: {} raw samples {sent}", samples.len()).unwrap();

@@ -10,13 +10,13 @@ use std::path::Path;
 use kit::{folder, wimu};
 use serde_json::Value;
 use wimu_host::calibration::{CalibrationFile, StoredModel, parameter_id, source};
-use wimu_host::decode::{Decoder, LinkStatistics};
-use wimu_host::history::{Boot, LinkHistory};
+use wimu_host::capture::{Boot, Link};
+use wimu_host::decode::{Decoder, LinkStatistics, TimedSample};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::replay::verify;
 use wimu_integrator::{Config, Flags, Integrator, Saturation, Transition};
-use wimu_link::batch::{self, Layout};
+use wimu_link::batch::{self, Layout, Stream};
 use wimu_link::message::{
     Attitude, BusFault, Epoch, EpochGyroscope, EpochReason, Event, Navigation, SetBytes,
 };
@@ -289,7 +289,7 @@ fn hello(role: LinkRole) -> Vec<u8> {
 
 /// What a host has of these frames.
 fn heard<'a>(frames: impl IntoIterator<Item = &'a Frame>) -> (Boot, LinkStatistics) {
-    let mut history = LinkHistory::new(LinkRole::Cable);
+    let mut history = Link::new(LinkRole::Cable);
     let mut decoder = Decoder::new();
     for frame in frames {
         decoder.push(frame.time_us * 1000, &frame.bytes, |arrival| {
@@ -334,7 +334,7 @@ fn samples_of_six_axes_are_decoded_and_replayed_bit_for_bit_from_any_epoch() {
     let (frames, sent) = run(false);
     let (boot, statistics) = heard(&frames);
     let received: Vec<Pair> = boot
-        .raw
+        .raw()
         .iter()
         .map(|sample| {
             let narrow = |axes: [i32; 3]| Counts(axes.map(|axis| axis as i16));
@@ -345,26 +345,30 @@ fn samples_of_six_axes_are_decoded_and_replayed_bit_for_bit_from_any_epoch() {
     assert_eq!(statistics.raw.received, u64::from(STEPS));
     let flagged = |n: &Navigation| Flags(n.flags).contains(Flags::GYROSCOPE_SATURATED);
     assert!(boot.navigation.iter().any(flagged));
-    assert!(boot.epochs.len() >= 12, "{}", boot.epochs.len());
-    for epoch in 0..boot.epochs.len() {
+    assert!(boot.epochs().len() >= 12, "{}", boot.epochs().len());
+    for epoch in 0..boot.epochs().len() {
         let report = verify(&boot, epoch);
         assert!(report.is_exact(), "{epoch}: {report:?}");
         assert_eq!((report.breaks, report.epochs_unusable), (0, 0));
-        let samples = u64::from(STEPS - boot.epochs[epoch].epoch.sequence);
+        let samples = u64::from(STEPS - boot.epochs()[epoch].epoch.sequence);
         assert_eq!((report.samples, report.rates_compared), (samples, samples));
-        assert_eq!(report.states_compared, (boot.epochs.len() - epoch - 1) as u64);
-        let due = |a: &&Attitude| a.sequence >= boot.epochs[epoch].epoch.sequence;
+        assert_eq!(report.states_compared, (boot.epochs().len() - epoch - 1) as u64);
+        let due = |a: &&Attitude| a.sequence >= boot.epochs()[epoch].epoch.sequence;
         let attitudes = boot.attitude.iter().filter(due).count() as u64;
-        assert!(attitudes > 0 || epoch + 1 == boot.epochs.len());
+        assert!(attitudes > 0 || epoch + 1 == boot.epochs().len());
         assert_eq!(report.attitudes_compared, attitudes);
     }
+}
+
+fn samples(boot: &mut Boot, stream: Stream) -> &mut Vec<TimedSample> {
+    boot.samples.get_mut(&(0, stream)).unwrap()
 }
 
 #[test]
 fn a_difference_in_rate_or_attitude_is_found_and_located() {
     let (intact, _) = heard(&run(false).0);
     let mut other = intact.clone();
-    other.corrected[500].rate.as_mut().unwrap()[2] += 1;
+    samples(&mut other, Stream::Corrected)[500].rate.as_mut().unwrap()[2] += 1;
     let report = verify(&other, 0);
     assert_eq!((report.rates_differ, report.corrected_differ), (1, 0));
     assert_eq!(report.first_difference, Some(500));
@@ -377,7 +381,7 @@ fn a_difference_in_rate_or_attitude_is_found_and_located() {
     assert!(!report.is_exact());
 
     let mut other = intact;
-    other.raw[320].rate.as_mut().unwrap()[1] += 1;
+    samples(&mut other, Stream::Raw)[320].rate.as_mut().unwrap()[1] += 1;
     let report = verify(&other, 0);
     assert_eq!((report.rates_differ, report.corrected_differ), (1, 0));
     assert!(report.states_differ > 0, "{report:?}");
@@ -387,7 +391,7 @@ fn a_difference_in_rate_or_attitude_is_found_and_located() {
 fn where_the_gyroscope_stops_the_replay_pauses_until_the_next_epoch() {
     let (boot, statistics) = heard(&run(true).0);
     assert_eq!(statistics.raw.missing, 0);
-    let without = boot.raw.iter().filter(|sample| sample.rate.is_none());
+    let without = boot.raw().iter().filter(|sample| sample.rate.is_none());
     assert_eq!(without.count(), STOPPED.len());
     let report = verify(&boot, 0);
     assert!(report.is_exact() && report.breaks == 1, "{report:?}");
@@ -405,18 +409,18 @@ fn where_the_gyroscope_stops_the_replay_pauses_until_the_next_epoch() {
 #[test]
 fn a_second_sensor_has_its_own_numbers_times_and_units() {
     let (boot, statistics) = heard(&run(false).0);
-    let track = &boot.further[&1];
-    assert_eq!(boot.further.len(), 1);
-    assert_eq!(track.raw.len(), (STEPS / SECOND_EVERY) as usize);
-    assert_eq!(statistics.further.received, track.raw.len() as u64);
-    for (number, sample) in (0..).zip(&track.raw) {
+    let second = boot.of(1, Stream::Raw);
+    assert_eq!(boot.samples.len(), 3);
+    assert_eq!(second.len(), (STEPS / SECOND_EVERY) as usize);
+    assert_eq!(statistics.further.received, second.len() as u64);
+    for (number, sample) in (0..).zip(second) {
         assert_eq!(sample.sequence, number);
         assert_eq!(sample.time, time(number * SECOND_EVERY));
         assert_eq!(WideCounts(sample.value), second_counts(number));
         assert_eq!(sample.rate, None);
     }
-    assert!(track.epochs.iter().all(|mark| mark.epoch.range_g == 200));
-    assert!(boot.epochs.iter().all(|mark| mark.epoch.range_g == 2));
+    assert!(boot.epochs_of(1).iter().all(|mark| mark.epoch.range_g == 200));
+    assert!(boot.epochs().iter().all(|mark| mark.epoch.range_g == 2));
 }
 
 fn table_of(path: &str) -> (Vec<String>, Vec<Vec<String>>) {
@@ -463,7 +467,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let rates =
         numbers(&corrected, ["Gyroscope X (rad/s)", "Gyroscope Y (rad/s)", "Gyroscope Z (rad/s)"]);
     let (boot, _) = heard(&run(false).0);
-    for (found, sample) in rates.iter().zip(&boot.corrected) {
+    for (found, sample) in rates.iter().zip(boot.corrected()) {
         assert_eq!(*found, AngularRateQ20(sample.rate.unwrap()).to_rad_s());
     }
 
@@ -505,7 +509,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         ..TableOptions::default()
     };
     let motion = MotionRecording::from_csv_with(Path::new(&raw_path), &options).unwrap();
-    for (found, sample) in motion.samples.iter().zip(&boot.corrected) {
+    for (found, sample) in motion.samples.iter().zip(boot.corrected()) {
         let expected = AngularRateQ20(sample.rate.unwrap()).to_rad_s();
         for (found, expected) in found.rate_rad_s.unwrap().iter().zip(expected) {
             assert!((found - expected).abs() < 3e-6, "{found} {expected}");
@@ -558,8 +562,8 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     wimu(&["export", &session, "--format", "mcap", "-o", &out]).succeeds();
     let (boot, _) = heard(&run(false).0);
     let data = imu(&out, "/cable/imu/data");
-    assert_eq!(data.len(), boot.corrected.len());
-    for (fields, sample) in data.iter().zip(&boot.corrected) {
+    assert_eq!(data.len(), boot.corrected().len());
+    for (fields, sample) in data.iter().zip(boot.corrected()) {
         let rate = AngularRateQ20(sample.rate.unwrap()).to_rad_s();
         assert_eq!(fields[13..16], rate);
         // Of the bias, turned by a quarter about z.
@@ -574,13 +578,13 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
         }
     }
     let raw = imu(&out, "/cable/imu/data_raw");
-    assert_eq!(raw.len(), boot.raw.len());
-    for (fields, sample) in raw.iter().zip(&boot.raw) {
+    assert_eq!(raw.len(), boot.raw().len());
+    for (fields, sample) in raw.iter().zip(boot.raw()) {
         let expected = sample.rate.unwrap().map(|lsb| f64::from(lsb) * RAD_S_PER_LSB);
         assert_eq!((&fields[13..16], fields[16]), (&expected[..], 0.0));
     }
     let second = imu(&out, "/cable/imu_1/data_raw");
-    assert_eq!(second.len(), boot.further[&1].raw.len());
+    assert_eq!(second.len(), boot.of(1, Stream::Raw).len());
     assert!(second.iter().all(|fields| fields[16] == -1.0));
 }
 

@@ -46,8 +46,8 @@ fn it_streams_on_both_links_and_replays_bit_for_bit() {
     for role in ROLES {
         rig.link(role).assert_perfect();
         let boot = rig.boot(role);
-        assert!(boot.raw.len() > 1_500 && !boot.navigation.is_empty());
-        assert_eq!(gaps(&boot.raw), []);
+        assert!(boot.raw().len() > 1_500 && !boot.navigation.is_empty());
+        assert_eq!(gaps(boot.raw()), []);
     }
     assert_eq!(rig.status().sensor.missed, 0);
 }
@@ -66,7 +66,7 @@ fn what_it_does_not_have_is_not_invented() {
         assert!(!hello.capabilities.contains(Capabilities::TEMPERATURE));
         assert_eq!(hello.sensor.name.as_str(), "ADXL345");
         assert!(boot.environment.is_empty(), "{:?}", boot.environment);
-        assert!(boot.epochs.iter().all(|mark| mark.epoch.temperature_centi_c.is_none()));
+        assert!(boot.epochs().iter().all(|mark| mark.epoch.temperature_centi_c.is_none()));
     }
 }
 
@@ -113,7 +113,7 @@ fn sample_times_are_those_of_the_data_ready_line() {
         rig.set(Settings { rate_hz, ..Settings::default() });
         rig.run(8.0);
         let period_us = 1e6 / f64::from(rate_hz) * 1.021;
-        let raw = &rig.boot(LinkRole::Cable).raw;
+        let raw = rig.boot(LinkRole::Cable).raw();
         let settled = &raw[raw.len() - 4 * usize::from(rate_hz)..];
         let first = settled[0];
         for sample in settled {
@@ -161,7 +161,7 @@ fn it_is_calibrated_and_keeps_what_was_pushed() {
     rig.restart();
     rig.run(3.0);
     let boot = rig.boot(LinkRole::Cable);
-    assert_eq!(boot.epochs[0].epoch.parameters, hash);
+    assert_eq!(boot.epochs()[0].epoch.parameters, hash);
     assert_replays(boot);
 }
 

@@ -7,7 +7,7 @@ use wimu_sim::scene::{Temperature, World};
 use wimu_tests::{ROLES, Rig, assert_replays, sensor};
 
 fn reasons(rig: &Rig) -> Vec<EpochReason> {
-    let epochs = &rig.boot(LinkRole::Cable).epochs;
+    let epochs = rig.boot(LinkRole::Cable).epochs();
     epochs.iter().map(|mark| mark.epoch.reason).collect()
 }
 
@@ -29,7 +29,7 @@ fn a_change_of_range_rate_and_resolution_while_running_begins_an_epoch_and_repla
         rig.set(Settings { range_g, rate_hz, resolution, ..Settings::default() });
         rig.run(3.0);
         for role in ROLES {
-            let epochs = &rig.boot(role).epochs;
+            let epochs = rig.boot(role).epochs();
             let last = &epochs[epochs.len() - 1].epoch;
             assert_eq!(last.range_g, range_g);
             let nominal = 1e9 / f64::from(rate_hz);
@@ -40,7 +40,7 @@ fn a_change_of_range_rate_and_resolution_while_running_begins_an_epoch_and_repla
     assert_eq!(changed.count(), changes.len());
     for role in ROLES {
         assert_replays(rig.boot(role));
-        assert!(rig.boot(role).raw.len() > 4000);
+        assert!(rig.boot(role).raw().len() > 4000);
     }
 }
 
@@ -61,7 +61,7 @@ fn a_step_of_temperature_begins_an_epoch_with_it_and_replays() {
     for role in ROLES {
         let boot = rig.boot(role);
         let stepped: Vec<f64> = boot
-            .epochs
+            .epochs()
             .iter()
             .filter(|mark| {
                 mark.epoch.reason == EpochReason::Temperature && mark.epoch.time_us > 5_000_000
@@ -81,7 +81,7 @@ fn epochs_come_at_least_once_a_second_and_both_links_get_every_one() {
     let mut rig = Rig::new(BoardConfig::default(), source);
     rig.run(25.0);
     let [cable, wireless] = ROLES.map(|role| {
-        let epochs = &rig.boot(role).epochs;
+        let epochs = rig.boot(role).epochs();
         epochs.iter().map(|mark| mark.epoch).collect::<Vec<_>>()
     });
     assert_eq!(cable, wireless);
@@ -101,7 +101,7 @@ fn a_recording_replays_as_the_live_link_does() {
     rig.run(4.0);
     let recording = rig.recording();
     assert_eq!(recording.links.len(), 2);
-    for link in &recording.links {
+    for link in recording.links.values() {
         let starts = [1, 2].map(Some);
         let counted = [0, 1].map(|n| link.boots[n].hello.map(|hello| hello.boot_count));
         assert_eq!(counted, starts);

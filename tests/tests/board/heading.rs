@@ -19,7 +19,7 @@ fn calibrated(seed: u64) -> ParameterSet {
     let motion = "twelve-poses,six-positions,tilts";
     let mut rig = Rig::new(BoardConfig::default(), sensor(motion, World::default(), seed));
     rig.run(motion::named(motion, seed).unwrap().duration());
-    assert!(rig.boot(LinkRole::Cable).epochs.iter().all(|mark| {
+    assert!(rig.boot(LinkRole::Cable).epochs().iter().all(|mark| {
         mark.epoch.state.heading_sd_mrad.is_none() && mark.epoch.reason != EpochReason::Heading
     }));
     let data = Recording::of_link(rig.link(LinkRole::Cable).record(), "a session").unwrap();
@@ -52,17 +52,17 @@ fn heading_is_uncalibrated_until_a_magnetometer_is_pushed_and_then_within_its_de
         let motion = "rest,tilts";
         let mut rig = Rig::new(BoardConfig::default(), sensor(motion, World::default(), seed));
         rig.run(4.0);
-        let before = rig.boot(LinkRole::Wireless).epochs.len();
+        let before = rig.boot(LinkRole::Wireless).epochs().len();
         super::requests::push(&mut rig, &compiled(&ParameterSet { gyroscope: None, ..set }));
         let truth = motion::named(motion, seed).unwrap();
         rig.run(truth.duration() - 4.0);
         let boot = rig.boot(LinkRole::Wireless);
-        let held = boot.epochs[before - 1].epoch;
+        let held = boot.epochs()[before - 1].epoch;
         assert_eq!(held.state.phase, Phase::Resting);
         assert_eq!(Heading::of(&held).unwrap().sd_rad, None);
         // How many rests had a heading, and whether the present one has.
         let (mut rests, mut known) = (0, false);
-        for mark in &boot.epochs {
+        for mark in boot.epochs() {
             let epoch = &mark.epoch;
             known &= epoch.state.phase == Phase::Resting;
             let Some(sd_mrad) = epoch.state.heading_sd_mrad else {

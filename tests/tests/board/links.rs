@@ -185,7 +185,7 @@ fn a_host_that_asks_the_same_without_end_does_not_disturb_the_other_link() {
 }
 
 fn epochs(rig: &Rig, role: LinkRole) -> Vec<u32> {
-    let epochs = &rig.boot(role).epochs;
+    let epochs = rig.boot(role).epochs();
     epochs.iter().map(|mark| mark.epoch.sequence).collect()
 }
 
@@ -221,21 +221,21 @@ fn a_link_of_9600_baud_sheds_the_oldest_telemetry_counts_it_and_keeps_every_epoc
         let (slow_boot, fast_boot) = (rig.boot(slow), rig.boot(other(slow)));
         let (got, sent) = (epochs(&rig, slow), epochs(&rig, other(slow)));
         assert!(sent.starts_with(&got) && got.len() + 2 >= sent.len());
-        assert!(slow_boot.raw.len() > 500, "{}", slow_boot.raw.len());
-        assert!(!gaps(&slow_boot.raw).is_empty());
-        assert_part_of(&slow_boot.raw, &fast_boot.raw);
-        assert_part_of(&slow_boot.corrected, &fast_boot.corrected);
+        assert!(slow_boot.raw().len() > 500, "{}", slow_boot.raw().len());
+        assert!(!gaps(slow_boot.raw()).is_empty());
+        assert_part_of(slow_boot.raw(), fast_boot.raw());
+        assert_part_of(slow_boot.corrected(), fast_boot.corrected());
         assert_replays(slow_boot);
         let statistics = rig.link(slow).record().statistics;
         assert_eq!(statistics.frames_damaged, 0);
-        let last = slow_boot.raw[slow_boot.raw.len() - 1].sequence;
+        let last = slow_boot.raw()[slow_boot.raw().len() - 1].sequence;
         assert_eq!(
             statistics.raw.received + statistics.raw.missing,
-            u64::from(last - slow_boot.raw[0].sequence) + 1
+            u64::from(last - slow_boot.raw()[0].sequence) + 1
         );
         // The oldest goes first: what arrives is not older than the queue is long.
         let now_us = rig.board.now_us();
-        let newest_us = slow_boot.raw[slow_boot.raw.len() - 1].time.0;
+        let newest_us = slow_boot.raw()[slow_boot.raw().len() - 1].time.0;
         assert!(now_us - newest_us < 4_000_000, "{} µs old", now_us - newest_us);
     }
 }
@@ -254,8 +254,8 @@ fn a_host_that_looks_away_for_a_while_misses_samples_but_no_epoch() {
         let status = rig.status();
         assert!(shed(&status, stalled) > 0);
         assert_eq!(shed(&status, other(stalled)), 0);
-        assert_part_of(&rig.boot(stalled).raw, &rig.boot(other(stalled)).raw);
-        assert!(!gaps(&rig.boot(stalled).raw).is_empty());
+        assert_part_of(rig.boot(stalled).raw(), rig.boot(other(stalled)).raw());
+        assert!(!gaps(rig.boot(stalled).raw()).is_empty());
         assert_replays(rig.boot(stalled));
     }
 }
@@ -275,9 +275,9 @@ fn a_host_that_looks_away_for_long_finds_its_way_back() {
         assert!(shed(&status, stalled) > 100);
         assert_eq!((status.sensor.missed, status.sensor.overruns), (0, 0));
         let boot = rig.boot(stalled);
-        let resumed = boot.raw.iter().filter(|raw| raw.time.0 > resumed_us);
+        let resumed = boot.raw().iter().filter(|raw| raw.time.0 > resumed_us);
         assert!(resumed.count() > 350);
-        assert_part_of(&boot.raw, &rig.boot(other(stalled)).raw);
+        assert_part_of(boot.raw(), rig.boot(other(stalled)).raw());
         assert_replays(boot);
         assert_eq!(rig.link(stalled).record().statistics.frames_damaged, 0);
     }
@@ -285,8 +285,8 @@ fn a_host_that_looks_away_for_long_finds_its_way_back() {
 
 #[test]
 fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
+    use wimu_host::capture::Link;
     use wimu_host::decode::{Decoder, Event};
-    use wimu_host::history::LinkHistory;
     let mut rig = Rig::usual();
     rig.run(15.0);
     let truth = rig.boot(LinkRole::Cable);
@@ -298,7 +298,7 @@ fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
             damage(&mut seeded, &mut bytes);
         }
         let mut decoder = Decoder::new();
-        let mut record = LinkHistory::new(LinkRole::Cable);
+        let mut record = Link::new(LinkRole::Cable);
         let mut damage = 0;
         for piece in bytes.chunks(1 + seeded.below(100)) {
             decoder.push(0, piece, |arrival| {
@@ -309,9 +309,9 @@ fn a_line_that_damages_what_the_board_says_never_invents_a_sample() {
         assert_eq!(record.boots.len(), 1);
         let boot = &record.boots[0];
         assert!(damage > 0);
-        assert!(boot.raw.len() > truth.raw.len() / 4);
-        assert_part_of(&boot.raw, &truth.raw);
-        assert_part_of(&boot.corrected, &truth.corrected);
+        assert!(boot.raw().len() > truth.raw().len() / 4);
+        assert_part_of(boot.raw(), truth.raw());
+        assert_part_of(boot.corrected(), truth.corrected());
         let report = wimu_host::replay::verify(boot, 0);
         assert_eq!(report.first_difference, None, "seed {seed}: {report:?}");
     }
@@ -338,9 +338,9 @@ fn each_link_has_its_own_streams_decimation_and_batches() {
 
     rig.link(LinkRole::Cable).assert_perfect();
     let (cable, wireless) = (rig.boot(LinkRole::Cable), rig.boot(LinkRole::Wireless));
-    assert_part_of(&wireless.raw, &cable.raw);
-    assert_part_of(&wireless.corrected, &cable.corrected);
-    let decimated: Vec<u32> = (wireless.raw.windows(2))
+    assert_part_of(wireless.raw(), cable.raw());
+    assert_part_of(wireless.corrected(), cable.corrected());
+    let decimated: Vec<u32> = (wireless.raw().windows(2))
         .filter(|pair| pair[1].sequence - pair[0].sequence == 4)
         .map(|pair| pair[1].sequence)
         .collect();
@@ -348,7 +348,7 @@ fn each_link_has_its_own_streams_decimation_and_batches() {
     assert!(decimated.iter().all(|sequence| sequence % 4 == 0));
     let between = |from: u32, to: u32| move |s: &&TimedSample| (from..to).contains(&s.sequence);
     let range = between(decimated[0], decimated[decimated.len() - 1]);
-    assert_eq!(wireless.corrected.iter().filter(range).count(), 0);
+    assert_eq!(wireless.corrected().iter().filter(range).count(), 0);
     // No sample that was to be sent is missing, and what the device says agrees.
     let statistics = rig.link(LinkRole::Wireless).record().statistics;
     assert_eq!((statistics.raw.missing, statistics.raw.duplicated), (0, 0));

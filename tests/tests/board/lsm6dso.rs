@@ -50,9 +50,9 @@ fn six_axes_stream_on_both_links_and_replay_bit_for_bit() {
         let hello = boot.hello.expect("it was asked");
         assert_eq!(hello.sensor.name.as_str(), "LSM6DSO");
         assert!(hello.capabilities.contains(Capabilities::GYROSCOPE));
-        assert!(boot.raw.len() > 2_500 && !boot.attitude.is_empty());
-        assert!(boot.raw.iter().all(|sample| sample.rate.is_some()));
-        assert_eq!(gaps(&boot.raw), []);
+        assert!(boot.raw().len() > 2_500 && !boot.attitude.is_empty());
+        assert!(boot.raw().iter().all(|sample| sample.rate.is_some()));
+        assert_eq!(gaps(boot.raw()), []);
         assert!(!boot.environment.is_empty(), "temperatures");
     }
     assert_eq!(rig.status().sensor.missed, 0);
@@ -64,7 +64,7 @@ fn the_angular_rate_and_the_attitude_are_those_of_the_body() {
     rig.run(25.0);
     let boot = rig.boot(LinkRole::Cable);
     let mut compared = 0;
-    for sample in &boot.corrected {
+    for sample in boot.corrected() {
         let truth = scene.state(sample.time.to_seconds()).angular_rate_radps;
         let found = AngularRateQ20(sample.rate.expect("six axes")).to_rad_s();
         for axis in 0..3 {
@@ -120,14 +120,14 @@ fn a_gyroscope_that_stops_is_reported_leaves_a_gap_and_recovers() {
         let told = [Event::GyroscopeLost(BusFault::Timeout), Event::SensorFound];
         assert_eq!(rig.link(role).events(), told);
         let boot = rig.boot(role);
-        let holes = gaps(&boot.raw);
+        let holes = gaps(boot.raw());
         let [(_, missing)] = holes[..] else {
             panic!("one gap in the numbers, not {holes:?}");
         };
         assert_eq!(missing, status.sensor.missed);
         assert!((200..=260).contains(&missing), "{missing} of 104 Hz");
-        let after = |mark: &&wimu_host::history::EpochMark| mark.epoch.time_us > broken_us;
-        let first = boot.epochs.iter().find(after).expect("epochs");
+        let after = |mark: &&wimu_host::capture::EpochMark| mark.epoch.time_us > broken_us;
+        let first = boot.epochs().iter().find(after).expect("epochs");
         assert_eq!(first.epoch.reason, EpochReason::Gap);
         assert_replays(boot);
     }

@@ -51,7 +51,7 @@ pub fn active(rig: &mut Rig) -> (SetBytes, u32) {
 const UNCALIBRATED: (SetBytes, u32) = (SetBytes::NONE, 0);
 
 fn newest_epoch_id(rig: &Rig) -> u32 {
-    let epochs = &rig.boot(CABLE).epochs;
+    let epochs = rig.boot(CABLE).epochs();
     epochs[epochs.len() - 1].epoch.parameters
 }
 
@@ -130,7 +130,7 @@ fn a_request_that_is_repeated_has_one_effect_and_the_same_answer() {
         (Command::FactoryReset, EpochReason::Settings),
     ] {
         let effects = |rig: &Rig| {
-            let epochs = &rig.boot(CABLE).epochs;
+            let epochs = rig.boot(CABLE).epochs();
             let of = |reason| epochs.iter().filter(|m| m.epoch.reason == reason).count();
             of(reason)
         };
@@ -169,7 +169,7 @@ fn an_answer_that_was_lost_is_given_again_and_the_set_is_not_applied_twice() {
 
 /// How often the settings were changed. The wireless link hears of every change.
 fn times_set(rig: &Rig) -> usize {
-    let epochs = &rig.boot(LinkRole::Wireless).epochs;
+    let epochs = rig.boot(LinkRole::Wireless).epochs();
     let set = epochs.iter().filter(|mark| mark.epoch.reason == EpochReason::Settings);
     set.count()
 }
@@ -322,7 +322,7 @@ fn a_worn_out_memory_refuses_writes_and_everything_stays_as_it_was() {
         assert_eq!(active(&mut rig), (set, id), "{write:?}");
         rig.run(2.0);
         assert_eq!(newest_epoch_id(&rig), id, "{write:?}");
-        let epochs = &rig.boot(CABLE).epochs;
+        let epochs = rig.boot(CABLE).epochs();
         let period = epochs[epochs.len() - 1].epoch.period_ns;
         assert!(period.abs_diff(10_000_000) < 50_000, "{write:?}: {period}");
     }
@@ -342,7 +342,7 @@ fn a_board_with_a_worn_out_memory_starts_and_says_so() {
     rig.run(3.0);
     assert_eq!(rig.link(CABLE).events(), [Event::StoreUnreadable]);
     assert_eq!(active(&mut rig), held);
-    assert!(rig.boot(CABLE).raw.len() > 250);
+    assert!(rig.boot(CABLE).raw().len() > 250);
 }
 
 #[test]
@@ -367,7 +367,7 @@ fn a_damaged_record_is_told_and_the_board_runs_without_it() {
         let calibrated = key != parameters;
         assert_eq!(active(&mut rig) != UNCALIBRATED, calibrated, "{key:?}");
         assert_eq!(newest_epoch_id(&rig) != 0, calibrated, "{key:?}");
-        assert!(rig.boot(CABLE).raw.len() > 250, "{key:?}");
+        assert!(rig.boot(CABLE).raw().len() > 250, "{key:?}");
         for role in ROLES {
             assert_replays(rig.boot(role));
         }

@@ -28,7 +28,7 @@ fn still_answers(rig: &mut Rig) {
 fn survives(what: &str, expected: BusFault, break_it: fn(&Board), mend: fn(&Board)) {
     let mut rig = Rig::usual();
     rig.run(3.0);
-    let taken_before = rig.boot(LinkRole::Cable).raw.len();
+    let taken_before = rig.boot(LinkRole::Cable).raw().len();
     break_it(&rig.board);
     rig.run(0.5);
     still_answers(&mut rig);
@@ -44,22 +44,22 @@ fn survives(what: &str, expected: BusFault, break_it: fn(&Board), mend: fn(&Boar
         let told = [Event::SensorLost(expected), Event::SensorFound];
         assert_eq!(events, told, "{what}");
         let boot = rig.boot(role);
-        assert!(boot.raw.len() > taken_before + 350, "{what}: sampling resumes");
-        let holes = gaps(&boot.raw);
+        assert!(boot.raw().len() > taken_before + 350, "{what}: sampling resumes");
+        let holes = gaps(boot.raw());
         let [(_, missing)] = holes[..] else {
             panic!("{what}: one gap in the numbers, not {holes:?}");
         };
         assert_eq!(missing, status.sensor.missed, "{what}");
         assert!((90..=140).contains(&missing), "{what}: {missing} of 100 Hz");
         // Numbers and times tell the same story, also across the gap.
-        let [first, .., last] = &boot.raw[..] else {
+        let [first, .., last] = boot.raw() else {
             panic!("{what}: no samples");
         };
         let passed = (last.time.0 - first.time.0) as f64 * 1e-4;
         let counted = f64::from(last.sequence - first.sequence);
         assert!((passed - counted).abs() < 4.0, "{what}: {passed} periods, {counted} numbers");
         let after: Vec<_> =
-            boot.epochs.iter().filter(|mark| mark.epoch.time_us > broken_us).collect();
+            boot.epochs().iter().filter(|mark| mark.epoch.time_us > broken_us).collect();
         assert_eq!(after[0].epoch.reason, EpochReason::Gap, "{what}");
         assert_replays(boot);
         assert!(
@@ -172,7 +172,7 @@ fn a_sensor_that_fails_again_at_every_transfer_of_its_start_comes_back_in_the_en
     rig.board.bus_faults().clear();
     rig.run(3.0);
     assert_eq!(rig.link(LinkRole::Cable).events().last(), Some(&Event::SensorFound));
-    let raw = &rig.boot(LinkRole::Cable).raw;
+    let raw = rig.boot(LinkRole::Cable).raw();
     assert_eq!(gaps(&raw[raw.len() - 200..]), []);
     assert_replays(rig.boot(LinkRole::Cable));
 }
@@ -189,7 +189,7 @@ fn a_board_without_its_sensor_says_so_and_starts_when_it_comes() {
     still_answers(&mut rig);
     for role in ROLES {
         assert!(rig.boot(role).hello.is_some());
-        assert!(rig.boot(role).raw.is_empty());
+        assert!(rig.boot(role).raw().is_empty());
     }
     rig.board.sensor().set_present(true);
     rig.run(4.0);
@@ -198,9 +198,9 @@ fn a_board_without_its_sensor_says_so_and_starts_when_it_comes() {
             rig.link(role).events(),
             [Event::SensorLost(BusFault::NoAnswer), Event::SensorFound]
         );
-        assert!(rig.boot(role).raw.len() > 300);
+        assert!(rig.boot(role).raw().len() > 300);
         rig.link(role).assert_perfect();
-        assert_eq!(rig.boot(role).epochs[0].epoch.reason, EpochReason::Start);
+        assert_eq!(rig.boot(role).epochs()[0].epoch.reason, EpochReason::Start);
     }
 }
 
@@ -221,7 +221,7 @@ fn settings_are_refused_while_the_sensor_is_away_and_taken_when_it_is_back() {
     assert_eq!(count(&rig, is_lost), 1);
     rig.set(faster);
     rig.run(2.0);
-    let epochs = &rig.boot(LinkRole::Cable).epochs;
+    let epochs = rig.boot(LinkRole::Cable).epochs();
     let period = epochs[epochs.len() - 1].epoch.period_ns;
     assert!(period.abs_diff(5_000_000) < 25_000, "{period} ns");
     assert_replays(rig.boot(LinkRole::Cable));
@@ -236,12 +236,12 @@ fn another_chip_is_named_and_never_sampled() {
     let told = Event::WrongSensor { expected: 0x33, found: 0x44 };
     for role in ROLES {
         assert_eq!(rig.link(role).events(), [told]);
-        assert!(rig.boot(role).raw.is_empty());
+        assert!(rig.boot(role).raw().is_empty());
     }
     rig.board.sensor().set_who_am_i(0x33);
     rig.run(2.0);
     assert_eq!(rig.link(LinkRole::Cable).events(), [told, Event::SensorFound]);
-    assert!(rig.boot(LinkRole::Cable).raw.len() > 150);
+    assert!(rig.boot(LinkRole::Cable).raw().len() > 150);
 }
 
 #[test]
@@ -293,7 +293,7 @@ fn a_sensor_clock_that_is_off_by_0_3_percent_is_measured_and_no_sample_is_taken_
         assert!(unread <= 4, "{unread}");
         for role in ROLES {
             rig.link(role).assert_perfect();
-            let epochs = &rig.boot(role).epochs;
+            let epochs = rig.boot(role).epochs();
             let used = f64::from(epochs[epochs.len() - 1].epoch.period_ns);
             assert!((used / truth_ns - 1.0).abs() < 60e-6, "{used} ns in use");
         }
@@ -332,7 +332,7 @@ fn missed_at(rate_hz: u16, after_s: f64, happens: impl Fn(&mut Rig)) -> u32 {
     let taken_before = rig.board.sensor().samples_taken();
     rig.run(after_s);
     let before = rig.status().sensor;
-    let begun = rig.boot(LinkRole::Cable).raw.len() - 1;
+    let begun = rig.boot(LinkRole::Cable).raw().len() - 1;
     happens(&mut rig);
     rig.run(3.0);
     let sensor = rig.status().sensor;
@@ -340,7 +340,7 @@ fn missed_at(rate_hz: u16, after_s: f64, happens: impl Fn(&mut Rig)) -> u32 {
     let taken = rig.board.sensor().samples_taken() - taken_before;
     let counted = sensor.samples - before.samples + sensor.missed;
     // Numbers and times tell the same story.
-    let raw = &rig.boot(LinkRole::Cable).raw;
+    let raw = rig.boot(LinkRole::Cable).raw();
     let of = |at: usize| (raw[at].time.0, raw[at].sequence);
     let ((start, first), (end, last)) = (of(begun), of(raw.len() - 1));
     let periods = (end - start) as f64 * f64::from(rate_hz) * 1e-6 / 1.0025;

@@ -3,8 +3,8 @@
 use std::num::NonZeroU8;
 
 use wimu_host::authentication::Authentication;
+use wimu_host::capture::Capture;
 use wimu_host::decode::{Authenticity, Decoder, Event, Interval};
-use wimu_host::history::Recording;
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_link::auth::DeviceKey;
 use wimu_link::batch::{self, Batch, Layout, Stream};
@@ -231,8 +231,8 @@ fn surveyed(frames: &[Vec<u8>], keys: Vec<DeviceKey>) -> Authentication {
         writer.append(WIRELESS, host_ns, frame).expect("room");
     }
     writer.finish().expect("room");
-    let recording = Recording::survey_with_keys(&path, keys).expect("own file");
-    recording.links[0].authentication.clone()
+    let recording = Capture::survey(&path, keys).expect("own file");
+    recording.links.first_key_value().expect("a link").1.authentication.clone()
 }
 
 #[test]

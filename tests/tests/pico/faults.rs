@@ -25,7 +25,7 @@ fn starts(run: &Run) -> Vec<(ResetReason, Option<Fault>)> {
 fn assert_samples_again(run: &Run, least: usize) {
     for role in ROLES {
         let boot = run.boots(role).last().expect("a start");
-        assert!(boot.raw.len() > least, "{role}: {}", boot.raw.len());
+        assert!(boot.raw().len() > least, "{role}: {}", boot.raw().len());
         assert_replays(boot);
     }
 }
@@ -84,7 +84,7 @@ fn three_starts_that_fail_lead_to_safe_mode_until_the_next_reset() {
         assert_eq!(hellos[3].reset_reason, ResetReason::Fault);
         assert!(hellos[3].fault.is_some());
         let safe = &run.boots(role)[3];
-        assert!(safe.raw.len() > 150 && safe.corrected.is_empty());
+        assert!(safe.raw().len() > 150 && safe.corrected().is_empty());
     }
     assert_samples_again(&run, 40);
 }
@@ -100,7 +100,7 @@ fn an_image_that_differs_from_its_crc_starts_in_safe_mode() {
         assert!(hellos[1].safe_mode);
         let fault = hellos[1].fault.expect("a fault").to_string();
         assert!(fault.starts_with("image CRC at 0x"), "{fault}");
-        let raw = run.boots(role)[1].raw.len();
+        let raw = run.boots(role)[1].raw().len();
         assert!(raw > 100, "{raw}");
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command as Process;
 
 use serde_json::{Value, json};
-use wimu_host::history::Boot;
+use wimu_host::capture::Boot;
 use wimu_link::{Command, LinkRole, Request};
 use wimu_tests::{Listener, encoded};
 

@@ -45,7 +45,7 @@ fn a_set_that_was_pushed_is_in_use_after_the_power_was_off() {
             run.boots(role).iter().map(|boot| boot.hello.expect("a hello").parameter_id).collect();
         assert_eq!(ids, [ParameterId::UNCALIBRATED, parameter_id(&set)]);
         let last = run.boots(role).last().expect("a start");
-        let epoch = last.epochs.last().expect("an epoch").epoch;
+        let epoch = last.epochs().last().expect("an epoch").epoch;
         assert_eq!(epoch.parameter_id(), parameter_id(&set));
     }
 }

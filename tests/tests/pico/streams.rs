@@ -32,10 +32,10 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
         assert_eq!(hello.role, role);
         assert!(!hello.capabilities.contains(Capabilities::MAGNETOMETER));
         assert!(boot.environment.is_empty());
-        assert_eq!(gaps(&boot.raw), []);
-        assert!(boot.raw.len() > 3_000, "{}", boot.raw.len());
+        assert_eq!(gaps(boot.raw()), []);
+        assert!(boot.raw().len() > 3_000, "{}", boot.raw().len());
         // The bar, from when the sensor's true rate is known.
-        let settled = &boot.raw[boot.raw.len() - 600..];
+        let settled = &boot.raw()[boot.raw().len() - 600..];
         let late = settled.iter().map(|sample| {
             let time = sample.time.0 as f64;
             let after = taken.partition_point(|taken| *taken < time);
@@ -113,8 +113,8 @@ fn a_bus_held_low_and_a_byte_refused_in_a_burst_are_told_and_the_rest_goes_on() 
         ];
         assert_eq!(told, expected, "{role}");
         let boot = &run.boots(role)[0];
-        assert_eq!(gaps(&boot.raw).len(), 2);
-        assert!(boot.raw.len() > 450, "{}", boot.raw.len());
+        assert_eq!(gaps(boot.raw()).len(), 2);
+        assert!(boot.raw().len() > 450, "{}", boot.raw().len());
         assert_replays(boot);
     }
     assert_eq!(run.link(LinkRole::Cable).replies().len(), 1);

@@ -43,7 +43,7 @@ fn a_comparison_of_both_uarts_counts_what_was_lost_and_finds_clock_bias_and_scal
     let recording = host.recording().expect("a recording");
     let [all, some] = [LinkRole::Cable, LinkRole::Wireless].map(|role| {
         let link = recording.link(Some(role)).expect("both links");
-        let raw = &link.boots[0].raw;
+        let raw = link.boots[0].raw();
         (link.statistics.raw, raw.len() as u64, raw[0].sequence)
     });
     assert_eq!(found.pairs, some.1);

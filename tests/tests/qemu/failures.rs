@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use wimu_host::history::Boot;
+use wimu_host::capture::Boot;
 use wimu_link::LinkRole;
 use wimu_link::hello::ResetReason;
 use wimu_model::ParameterId;
@@ -95,8 +95,8 @@ fn three_starts_that_panic_lead_to_safe_mode_until_the_next_reset() {
     assert!(hello.safe_mode);
     assert!(hello.fault.expect("a fault").to_string().starts_with("panic "));
     assert_eq!(hello.parameter_id, ParameterId::UNCALIBRATED);
-    assert!(boot.raw.len() > 1900, "{}", boot.raw.len());
-    assert!(boot.corrected.is_empty() && boot.navigation.is_empty());
+    assert!(boot.raw().len() > 1900, "{}", boot.raw().len());
+    assert!(boot.corrected().is_empty() && boot.navigation.is_empty());
     let stack = boot.status.and_then(|status| status.stack);
     let stack = stack.expect("it is measured");
     assert!((1000..stack.size / 2).contains(&stack.used), "{stack:?}");

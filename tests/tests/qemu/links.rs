@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
+use wimu_host::capture::Link;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::Event;
-use wimu_host::history::LinkHistory;
 use wimu_host::transport::{self, Transport};
 use wimu_host::{Code, LinkUrl, Problem, Result, replay};
 use wimu_link::message::Event as DeviceEvent;
@@ -69,14 +69,14 @@ fn greeted(line: Line) -> Result<Client<Line>> {
 /// A client that keeps what it hears.
 struct Listener {
     client: Client<Line>,
-    heard: LinkHistory,
+    heard: Link,
     greetings: usize,
 }
 
 impl Listener {
     fn on(client: Client<Line>) -> Self {
         let role = client.hello().role;
-        Self { client, heard: LinkHistory::new(role), greetings: 0 }
+        Self { client, heard: Link::new(role), greetings: 0 }
     }
 
     /// Listens until `wanted` has seen what it waits for; as long as that takes, within reason.
@@ -118,7 +118,7 @@ impl Listener {
 
     /// Number of the latest raw sample.
     fn latest(&mut self) -> u32 {
-        let raw = &self.heard.latest().raw;
+        let raw = self.heard.latest().raw();
         raw.last().map_or(0, |sample| sample.sequence)
     }
 }
@@ -284,9 +284,9 @@ fn a_client_that_stops_reading_costs_only_what_is_counted_and_hears_on_when_it_r
         let statistics = stalled.client.statistics();
         assert_eq!(statistics.frames_damaged, 0, "{statistics:?}");
         assert!(statistics.raw.missing > missing, "{statistics:?}");
-        let reference = &cable.heard.latest().raw;
+        let reference = cable.heard.latest().raw();
         let heard = stalled.heard.latest();
-        for sample in &heard.raw {
+        for sample in heard.raw() {
             let same = reference.binary_search_by_key(&sample.sequence, |s| s.sequence);
             // Times are completed by the period of the latest epoch, which may not have arrived on both.
             if let Ok(index) = same {
@@ -297,7 +297,7 @@ fn a_client_that_stops_reading_costs_only_what_is_counted_and_hears_on_when_it_r
         let replay = replay::verify(heard, 0);
         println!("{replay:?}");
         assert!(replay.is_exact() && replay.breaks > 0, "{replay:?}");
-        let last = heard.epochs.last().expect("an epoch").epoch.sequence;
+        let last = heard.epochs().last().expect("an epoch").epoch.sequence;
         assert!(last > sampled, "{last}");
     });
 }

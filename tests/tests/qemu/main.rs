@@ -252,7 +252,7 @@ fn long_replay(part: SensorPart, scale: f64) {
     }
 
     let recording = host.recording().expect("a recording");
-    for link in &recording.links {
+    for link in recording.links.values() {
         let [boot] = link.boots.as_slice() else {
             panic!("{} starts", link.boots.len());
         };
@@ -272,9 +272,9 @@ fn long_replay(part: SensorPart, scale: f64) {
         assert!(replay.is_exact(), "{replay:?}");
         let least = [60_000.0, 5_500.0].map(|count| (count * scale * 0.9) as u64);
         assert!(replay.corrected_compared > least[0] && replay.navigation_compared > least[1]);
-        let compared = boot.corrected.len() as u64 - replay.corrected_compared;
+        let compared = boot.corrected().len() as u64 - replay.corrected_compared;
         assert_eq!(compared, 0, "corrected samples not compared");
-        let has = |reason| boot.epochs.iter().any(|mark| mark.epoch.reason == reason);
+        let has = |reason| boot.epochs().iter().any(|mark| mark.epoch.reason == reason);
         for reason in [
             EpochReason::Gap,
             EpochReason::Temperature,
@@ -321,7 +321,7 @@ fn a_bad_wireless_link_makes_no_wrong_sample_and_leaves_the_cable_perfect() {
     let statistics = cable.statistics;
     assert_eq!(statistics.frames_damaged, 0, "{statistics:?}");
     assert_eq!((statistics.raw.missing, statistics.raw.duplicated), (0, 0), "{statistics:?}");
-    let (all, some) = (&cable.boots[0].raw, &wireless.boots[0].raw);
+    let (all, some) = (cable.boots[0].raw(), wireless.boots[0].raw());
     assert_eq!((cable.boots.len(), wireless.boots.len()), (1, 1));
     assert!(all.len() > 5500 && some.len() > 3500, "{}", some.len());
     for sample in some {

@@ -5,7 +5,7 @@ use wimu_model::{AngularRateQ20, Counts, SpecificForceQ16, WideCounts};
 use super::{ESCAPE, MAX_BATCH};
 
 /// The type of the samples of a batch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Stream {
     /// [`Counts`] or [`WideCounts`]: LSB, sensor axes.

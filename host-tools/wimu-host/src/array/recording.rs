@@ -7,8 +7,8 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
+use crate::capture::{Boot, Capture};
 use crate::formats::{self, ReadOptions};
-use crate::history::{Boot, Recording};
 use crate::motion::{FULL_SCALE_MPS2, Truth};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Track, Unit};
@@ -505,7 +505,7 @@ impl Board {
     /// start with most of them), or a CSV file with one accelerometer whose times are the host's.
     ///
     /// # Errors
-    /// Those of [`Recording::load`] and [`formats::load`]; `no_rows`; `data_refused` where nothing tells
+    /// Those of [`Capture::load`] and [`formats::load`]; `no_rows`; `data_refused` where nothing tells
     /// the board's clock.
     pub fn read(path: &Path, options: &BoardOptions) -> Result<Self> {
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
@@ -531,11 +531,11 @@ impl Board {
                 sensitivity_lsb_per_g: recording.sensitivities.first().copied().flatten(),
             });
         }
-        let recording = Recording::load(path)?;
+        let recording = Capture::load(path)?;
         let link = recording.link(options.link)?;
         let samples = |boot: &Boot| match options.raw {
-            true => boot.raw.len(),
-            false => boot.corrected.len().max(boot.raw.len()),
+            true => boot.raw().len(),
+            false => boot.corrected().len().max(boot.raw().len()),
         };
         let no_rows = || {
             let raw = if options.raw { "raw " } else { "" };
@@ -547,14 +547,14 @@ impl Board {
                 .at(&recording.name)
         };
         let boot = link.boots.iter().max_by_key(|boot| samples(boot)).ok_or_else(no_rows)?;
-        let corrected = !boot.corrected.is_empty() && !options.raw;
-        let chosen = if corrected { &boot.corrected } else { &boot.raw };
+        let corrected = !boot.corrected().is_empty() && !options.raw;
+        let chosen = if corrected { boot.corrected() } else { boot.raw() };
         let (Some(first), Some(last)) = (chosen.first(), chosen.last()) else {
             return Err(no_rows());
         };
-        let units = RawUnits::of_epochs(boot.epochs.iter().map(|mark| &mark.epoch));
+        let units = RawUnits::of_epochs(boot.epochs().iter().map(|mark| &mark.epoch));
         let given = boot
-            .nominal_sensitivity()
+            .nominal_sensitivity(0)
             .is_none()
             .then_some(STANDARD_GRAVITY_MPS2 / options.sensitivity_lsb_per_g);
         let host = |time| {
@@ -580,7 +580,7 @@ impl Board {
             clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
             without_unit: 0,
             sensitivity_lsb_per_g: (!corrected).then(|| {
-                boot.nominal_sensitivity().map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
+                boot.nominal_sensitivity(0).map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
             }),
         };
         for sample in chosen {

@@ -7,8 +7,8 @@ use wimu_model::{Sensitivity, SensorId};
 
 use super::input::median_magnitude;
 use super::numbers::MAX_POSES;
+use crate::capture;
 use crate::decode::sequence_order;
-use crate::history;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};
 use crate::{Code, Result};
 
@@ -149,15 +149,15 @@ impl Paired {
     /// The raw samples of a recording that came over both links, the cable's as reference.
     ///
     /// # Errors
-    /// Those of [`history::Recording::link`]; `no_rows` when no sample came over both.
-    pub fn of_links(recording: &history::Recording) -> Result<Self> {
+    /// Those of [`capture::Capture::link`]; `no_rows` when no sample came over both.
+    pub fn of_links(recording: &capture::Capture) -> Result<Self> {
         let cable = recording.link(Some(LinkRole::Cable))?;
         let wireless = recording.link(Some(LinkRole::Wireless))?;
         let same_start = wireless.boots.iter().filter_map(|theirs| {
             let ours = cable
                 .boots
                 .iter()
-                .find(|ours| ours.start == theirs.start && !ours.raw.is_empty())?;
+                .find(|ours| ours.start == theirs.start && !ours.raw().is_empty())?;
             Some((ours, theirs))
         });
         let mut without_unit = 0;
@@ -165,7 +165,7 @@ impl Paired {
         let mut sensor = None;
         let mut known: Option<(Sensitivity, u8, f64)> = None;
         for (ours, theirs) in same_start {
-            let Some(mark) = ours.epochs.first() else {
+            let Some(mark) = ours.epochs().first() else {
                 continue;
             };
             let Ok(sensitivity) = Sensitivity::from_lsb_per_g(mark.epoch.sensitivity_lsb_per_g)
@@ -176,9 +176,9 @@ impl Paired {
             sensor = sensor.or(ours.sensor());
             known.get_or_insert((sensitivity, mark.epoch.range_g, rate_hz));
             let start = theirs.start.and_then(|start| recording.starts.get(&start));
-            for sample in &theirs.raw {
+            for sample in theirs.raw() {
                 let found = ours
-                    .raw
+                    .raw()
                     .binary_search_by(|ours| sequence_order(ours.sequence, sample.sequence));
                 let Ok(index) = found else { continue };
                 let unit = start.and_then(|start| start.unit(Stream::Raw, 0, sample.sequence));
@@ -186,7 +186,7 @@ impl Paired {
                     without_unit += 1;
                     continue;
                 };
-                let both = [ours.raw[index].value, sample.value];
+                let both = [ours.raw()[index].value, sample.value];
                 pairs.push(both.map(|value| unit.mps2(value)));
             }
         }

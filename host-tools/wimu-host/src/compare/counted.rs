@@ -108,8 +108,8 @@ impl Counted {
                 meter.skip();
             }
             let (samples, is_late) = match &arrival.event {
-                Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
-                Event::Late(samples) if samples.stream == overview.stream => (samples, true),
+                Event::Samples(samples) if overview.is_compared(samples) => (samples, false),
+                Event::Late(samples) if overview.is_compared(samples) => (samples, true),
                 event => {
                     // The device reports both links' status on each link.
                     if let Some(status) = status_of(event) {

@@ -11,9 +11,9 @@ use super::link::Slicing;
 use super::pairing::Heard;
 use super::{ROLES, SLICES, UNDER_WAY_NS, index_of, refused};
 use crate::Result;
+use crate::capture::{Capture, Link};
 use crate::clock::ClockModel;
-use crate::decode::{Event, LinkStatistics};
-use crate::history::{LinkHistory, Recording};
+use crate::decode::{Event, LinkStatistics, Samples};
 use crate::mcap_file::{Recorded, RecordingReader};
 use crate::units::SampleUnit;
 use crate::walk::{Start, Step};
@@ -21,7 +21,7 @@ use crate::walk::{Start, Step};
 /// Result of the first reading.
 pub(super) struct Overview {
     pub stream: Stream,
-    pub recording: Recording,
+    pub recording: Capture,
     /// Samples of the stream in each start.
     pub starts: BTreeMap<Start, usize>,
     pub span: (u64, u64),
@@ -36,7 +36,7 @@ impl Overview {
         let (mut opened_ns, mut heard_ns, mut every) = ([None; 2], [None; 2], [None; 2]);
         // By stream.
         let mut holes: [Holes; 2] = Default::default();
-        let recording = Recording::survey_of(reader, name, |role, start, step| {
+        let recording = Capture::survey_of(reader, name, |role, start, step| {
             let link = index_of(role);
             match step {
                 Step::Other(Recorded::Sent { host_ns, .. }) => {
@@ -49,7 +49,9 @@ impl Overview {
                     let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
                     span = Some((first.min(arrival.host_ns), last.max(arrival.host_ns)));
                     heard_ns[link].get_or_insert(arrival.host_ns);
-                    if let Event::Samples(heard) = &arrival.event {
+                    if let Event::Samples(heard) = &arrival.event
+                        && heard.sensor == 0
+                    {
                         every[link].get_or_insert(heard.every);
                         holes[heard.stream as usize].take(link, start, heard);
                     }
@@ -57,11 +59,11 @@ impl Overview {
                 Step::Other(_) => {}
             }
         })?;
-        let links = ROLES.map(|role| recording.links.iter().find(|link| link.role == role));
+        let links = ROLES.map(|role| recording.links.get(&role));
         for (link, role) in links.into_iter().zip(ROLES) {
-            if link
-                .is_none_or(|link| link.samples(Stream::Raw) + link.samples(Stream::Corrected) == 0)
-            {
+            if link.is_none_or(|link| {
+                link.count(0, Stream::Raw) + link.count(0, Stream::Corrected) == 0
+            }) {
                 return Err(refused(
                     name,
                     format!("the {role} link is missing: it has no samples"),
@@ -83,7 +85,7 @@ impl Overview {
         let stream = [Stream::Raw, Stream::Corrected]
             .into_iter()
             .find(|stream| {
-                let has = |link: &LinkHistory| link.samples(*stream) > 0;
+                let has = |link: &Link| link.count(0, *stream) > 0;
                 links.into_iter().flatten().all(has)
             })
             .ok_or_else(|| {
@@ -97,8 +99,9 @@ impl Overview {
         holes.close();
         let mut starts: BTreeMap<Start, usize> = BTreeMap::new();
         for boot in links.into_iter().flatten().flat_map(|link| &link.boots) {
-            if let (Some(start), true) = (boot.start, boot.counts.raw + boot.counts.corrected > 0) {
-                *starts.entry(start).or_default() += boot.counts.samples(stream);
+            let counts = [Stream::Raw, Stream::Corrected].map(|stream| boot.counts.of(0, stream));
+            if let (Some(start), true) = (boot.start, counts != [0; 2]) {
+                *starts.entry(start).or_default() += boot.counts.of(0, stream);
             }
         }
         Ok(Self {
@@ -119,6 +122,11 @@ impl Overview {
         })
     }
 
+    /// Whether these samples are of the compared stream.
+    pub fn is_compared(&self, samples: &Samples) -> bool {
+        (samples.sensor, samples.stream) == (0, self.stream)
+    }
+
     /// The device's clock in a start, from both links.
     pub fn clock(&self, start: Start) -> Option<&ClockModel> {
         self.recording.starts.get(&start)?.clock()
@@ -130,8 +138,8 @@ impl Overview {
         start.unit(self.stream, 0, sequence)
     }
 
-    pub fn link(&self, role: LinkRole) -> Option<&LinkHistory> {
-        self.recording.links.iter().find(|link| link.role == role)
+    pub fn link(&self, role: LinkRole) -> Option<&Link> {
+        self.recording.links.get(&role)
     }
 
     pub fn span_ns(&self) -> u64 {

@@ -46,8 +46,8 @@ impl Residual {
                 _ => return Ok(()),
             };
             let (samples, is_late) = match &arrival.event {
-                Event::Samples(samples) if samples.stream == overview.stream => (samples, false),
-                Event::Late(samples) if samples.stream == overview.stream => (samples, true),
+                Event::Samples(samples) if overview.is_compared(samples) => (samples, false),
+                Event::Late(samples) if overview.is_compared(samples) => (samples, true),
                 _ => return Ok(()),
             };
             let Some(clock) = overview.clock(start) else {

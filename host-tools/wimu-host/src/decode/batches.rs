@@ -90,7 +90,7 @@ impl Decoder {
             } else {
                 let known = (ahead.unsigned_abs() / every + 1) as usize;
                 for late in track.gaps[index].take(&samples, known, statistics) {
-                    each(received.with(Event::Late(late).of_sensor(batch.sensor())));
+                    each(received.with(Event::Late(late)));
                 }
                 samples.drop_first(known);
             }
@@ -102,7 +102,7 @@ impl Decoder {
         each(Arrival {
             host_ns: received.host_ns,
             began_ns: received.began_ns,
-            event: Event::Samples(samples).of_sensor(batch.sensor()),
+            event: Event::Samples(samples),
         });
     }
 
@@ -125,7 +125,7 @@ impl Decoder {
             self.repeats.add(batch, received.host_ns);
         }
         for late in late {
-            each(received.with(Event::Late(late).of_sensor(batch.sensor())));
+            each(received.with(Event::Late(late)));
         }
     }
 }

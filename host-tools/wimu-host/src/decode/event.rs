@@ -30,8 +30,6 @@ pub enum Event {
         /// Whether epochs before it were lost.
         after_loss: bool,
     },
-    /// Samples, late samples or an epoch of a further sensor, index 1 to 7: raw only.
-    Further(Box<Event>),
     /// Magnetic field and temperature.
     Environment(Environment),
     /// Velocity and position.
@@ -67,33 +65,6 @@ pub enum Event {
 }
 
 impl Event {
-    /// Separates the data of further sensors.
-    #[inline]
-    pub(super) fn of_sensor(self, sensor: u8) -> Self {
-        match sensor {
-            0 => self,
-            _ => Self::Further(Box::new(self)),
-        }
-    }
-
-    /// The event itself, or that of a further sensor.
-    pub fn of_any_sensor(&self) -> &Self {
-        match self {
-            Self::Further(event) => event,
-            event => event,
-        }
-    }
-
-    /// Index of the sensor of samples or an epoch.
-    pub fn sensor(&self) -> Option<u8> {
-        match self {
-            Self::Samples(samples) | Self::Late(samples) => Some(samples.sensor),
-            Self::Epoch { epoch, .. } => Some(epoch.sensor),
-            Self::Further(event) => event.sensor(),
-            _ => None,
-        }
-    }
-
     /// Whether it depends on the start in which it was sent.
     pub(super) fn is_of_a_start(&self) -> bool {
         !matches!(

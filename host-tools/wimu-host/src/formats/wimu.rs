@@ -6,8 +6,8 @@ use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 
 use super::{ReadOptions, Source};
+use crate::capture::Capture;
 use crate::decode::{Decoder, Event};
-use crate::history::Recording;
 use crate::mcap_file::{self, RecordingReader};
 use crate::recording::{LinkRows, Sink};
 use crate::stream;
@@ -45,7 +45,7 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
     stream::read(&mut RecordingReader::open(path)?, role, |part| rows.part(part, &name))?;
     if rows.is_empty() {
         // Gives the reason.
-        role = Recording::survey(path)?.link(options.role)?.role;
+        role = Capture::survey(path, Vec::new())?.link(options.role)?.role;
     }
     rows.finish(role, &name)
 }

@@ -14,9 +14,9 @@ use wimu_link::message::Event as Happened;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use crate::calibration::{CalibrateOptions, MethodChoice, ModelChoice, local_gravity};
+use crate::capture::Link;
 use crate::decode::{Arrival, Event};
 use crate::formats;
-use crate::history::LinkHistory;
 use crate::recording::{Recording, Selection};
 use crate::{Code, Result};
 
@@ -149,7 +149,7 @@ pub enum News {
 pub struct LivePoses {
     /// What is captured.
     pub plan: Plan,
-    record: LinkHistory,
+    record: Link,
     /// Samples of an interrupted session.
     earlier: Option<Recording>,
     session: Option<Session<CAPACITY>>,
@@ -172,7 +172,7 @@ impl LivePoses {
     pub fn new(plan: Plan, hello: &Hello) -> Self {
         Self {
             plan,
-            record: LinkHistory::new(hello.role),
+            record: Link::new(hello.role),
             earlier: None,
             session: None,
             next: None,
@@ -190,7 +190,7 @@ impl LivePoses {
     pub fn take(&mut self, arrival: &Arrival, mut tell: impl FnMut(&Self, News)) {
         self.record.take(arrival);
         match &arrival.event {
-            Event::Epoch { epoch, .. } if self.session.is_none() => {
+            Event::Epoch { epoch, .. } if self.session.is_none() && epoch.sensor == 0 => {
                 self.sensitivity = Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok();
                 if self.sensitivity.is_some() {
                     self.rate_hz = 1e9 / f64::from(epoch.period_ns.max(1));
@@ -308,7 +308,7 @@ impl LivePoses {
     fn drop_latest(&mut self, count: u64) {
         self.kept = self.kept.saturating_sub(count);
         let count = usize::try_from(count).unwrap_or(usize::MAX);
-        let own: usize = self.record.boots.iter().map(|boot| boot.raw.len()).sum();
+        let own: usize = self.record.boots.iter().map(|boot| boot.raw().len()).sum();
         self.record.drop_latest_raw(count);
         if let Some(earlier) = &mut self.earlier {
             earlier.drop_latest(count.saturating_sub(own));

@@ -4,8 +4,8 @@ use std::f64::consts::TAU;
 use std::rc::Rc;
 
 use wimu_host::Result;
+use wimu_host::capture::Capture;
 use wimu_host::decode::TimedSample;
-use wimu_host::history::Recording;
 use wimu_model::{GyroscopeModel, GyroscopeParameters, GyroscopeTerms};
 
 use super::host::Host;
@@ -42,15 +42,15 @@ impl<R: VirtualBoard> Host<'_, R> {
 
 /// The parameters found in these `rotations`: y − b, integrated over a rotation about axis j, is 2π times column
 /// j of the matrix. The bias b is the mean at rest; g-sensitivity is not separated from it.
-pub(super) fn calibrate(rotations: Played, recording: &Recording) -> Result<GyroscopeParameters> {
+pub(super) fn calibrate(rotations: Played, recording: &Capture) -> Result<GyroscopeParameters> {
     let boot = rotations.boot(recording)?;
-    let scale = boot.epochs.last().and_then(|mark| mark.epoch.gyroscope);
+    let scale = boot.epochs().last().and_then(|mark| mark.epoch.gyroscope);
     let rad_s_per_lsb = scale.ok_or_else(|| lacks("a gyroscope"))?.rad_s_per_lsb;
     let within = |from_s: f64, to_s: f64| -> Vec<&TimedSample> {
         let times = from_s..to_s;
         let is_within =
             |sample: &&TimedSample| times.contains(&rotations.since_begin_s(sample.time));
-        boot.raw.iter().filter(is_within).collect()
+        boot.raw().iter().filter(is_within).collect()
     };
     let rate = |sample: &TimedSample| sample.rate.unwrap_or_default().map(f64::from);
     let mut matrix = [[0.0; 3]; 3];

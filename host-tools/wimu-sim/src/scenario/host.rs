@@ -7,9 +7,9 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use wimu_host::Result;
+use wimu_host::capture::Capture;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::{Decoder, Event};
-use wimu_host::history::Recording;
 use wimu_host::live::Tap;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
@@ -144,10 +144,10 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     ///
     /// # Errors
     /// Those of reading a recording.
-    pub fn recording(&mut self) -> Result<Recording> {
+    pub fn recording(&mut self) -> Result<Capture> {
         let file = self.file()?;
         let name = "the recording";
-        Recording::read(RecordingReader::new(Cursor::new(file), name)?, name)
+        Capture::read(RecordingReader::new(Cursor::new(file), name)?, name)
     }
 }
 

@@ -6,11 +6,11 @@ use std::cell::RefCell;
 use std::io::Cursor;
 use std::time::Duration;
 
+use wimu_host::capture;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::clock::{ClockEstimator, ClockModel, Pace};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::history;
 use wimu_host::live::{Tap, Tapped};
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
@@ -164,7 +164,7 @@ pub fn compared(file: &[u8]) -> Result<Comparison, Problem> {
 /// By both links, and by the wireless one alone.
 pub fn clocks(file: &[u8]) -> [ClockModel; 2] {
     let reader = RecordingReader::new(file, "a.mcap").unwrap();
-    let overview = history::Recording::survey_of(reader, "a.mcap", |_, _, _| {}).unwrap();
+    let overview = capture::Capture::survey_of(reader, "a.mcap", |_, _, _| {}).unwrap();
     let wireless = overview.link(Some(LinkRole::Wireless)).unwrap();
     let (_, start) = overview.starts.last_key_value().unwrap();
     [start.clock().cloned().unwrap(), wireless.clock().unwrap().clone()]

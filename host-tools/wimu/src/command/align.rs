@@ -7,8 +7,8 @@ use std::path::Path;
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
 use wimu_host::calibration::CalibrationFile;
+use wimu_host::capture::Link;
 use wimu_host::decode::Event;
-use wimu_host::history::LinkHistory;
 use wimu_host::recording::{Recording, Selection};
 use wimu_model::ParameterSet;
 
@@ -96,13 +96,15 @@ fn listen(
     };
     ask(0);
     let name = client.name().to_owned();
-    let mut record = LinkHistory::new(client.hello().role);
+    let mut record = Link::new(client.hello().role);
     let (mut looked, mut asked) = (0, 0);
     listen_until(client, arguments.seconds, |arrival| {
         record.take(arrival);
-        let samples = record.boots.iter().map(|boot| boot.raw.len()).sum();
+        let samples = record.boots.iter().map(|boot| boot.raw().len()).sum();
         let rate_hz = match &arrival.event {
-            Event::Samples(samples) => 1e9 / f64::from(samples.period.0.max(1)),
+            Event::Samples(samples) if samples.sensor == 0 => {
+                1e9 / f64::from(samples.period.0.max(1))
+            }
             _ => return Ok(true),
         };
         if samples < looked + rate_hz as usize {

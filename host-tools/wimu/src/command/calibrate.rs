@@ -11,8 +11,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use wimu_host::calibration::{self, CalibrateOptions, CalibrationFile, MethodChoice, Paired};
+use wimu_host::capture;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::history;
 use wimu_host::html::Report;
 use wimu_host::problem::Outcome;
 use wimu_host::recording::{Recording, Selection};
@@ -87,7 +87,7 @@ pub fn read_calibrated(
     match Input::parse(input)? {
         Input::File(path) => Ok((formats::load(&path, &load)?, checked(given)?, None)),
         Input::Recording(path) => {
-            let recording = history::Recording::load(&path)?;
+            let recording = capture::Capture::load(&path)?;
             let link = recording.link(load.role)?;
             let data = Recording::of_link(link, &recording.name)?;
             let set = match given {
@@ -188,7 +188,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             arguments.reference_sensitivity,
         )?
         .at_range(arguments.range),
-        Input::Recording(path) => Paired::of_links(&history::Recording::load(&path)?)?,
+        Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
         Input::Link(_) => {
             return Err(usage(
                 "--method reference needs a recording of both links, or a CSV file",

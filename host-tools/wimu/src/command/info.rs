@@ -1,18 +1,20 @@
 //! `wimu info`.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
 use serde::Serialize;
 use wimu_host::authentication::Authentication;
+use wimu_host::capture::{self, Capture, Counts};
 use wimu_host::decode::{self, LinkStatistics};
 use wimu_host::formats::{Source, Summary};
-use wimu_host::history::{Counts, LinkHistory, Recording};
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::Wholeness;
+use wimu_host::units::RawUnit;
 use wimu_host::{Input, Result};
 use wimu_link::Hello;
+use wimu_link::batch::Stream;
 use wimu_link::message::{SensorStatus, Status};
 
 use crate::arguments::Info;
@@ -84,22 +86,22 @@ struct Sensor {
 }
 
 impl Sensor {
-    fn of_link(link: &LinkHistory) -> Vec<Self> {
-        let mut sensors: BTreeMap<u8, Self> = BTreeMap::new();
-        for (index, track) in link.boots.iter().flat_map(|boot| &boot.sensors) {
-            let unit = track.unit;
-            let before = sensors.get(index);
-            let sensor = Self {
-                index: *index,
-                raw_samples: track.raw + before.map_or(0, |before| before.raw_samples),
-                angular_rates: track.rates + before.map_or(0, |before| before.angular_rates),
-                rate_hz: (track.period_ns > 0).then(|| 1e9 / f64::from(track.period_ns)),
+    fn of_link(link: &capture::Link) -> Vec<Self> {
+        let boots = || link.boots.iter();
+        let sensors = boots().flat_map(|boot| boot.counts.rates.keys().chain(boot.marks.keys()));
+        let sensor = |index: u8| {
+            let latest = boots().rev().find_map(|boot| Some(&boot.epochs_of(index).last()?.epoch));
+            let unit = latest.and_then(RawUnit::of);
+            Self {
+                index,
+                raw_samples: link.count(index, Stream::Raw),
+                angular_rates: boots().map(|boot| boot.counts.rates_of(index)).sum(),
+                rate_hz: latest.map(|epoch| 1e9 / f64::from(epoch.period_ns.max(1))),
                 range_m_s2: unit.map(|unit| unit.range_mps2()),
                 gyroscope_range_dps: unit.and_then(|unit| unit.range_rad_s()).map(f64::to_degrees),
-            };
-            sensors.insert(*index, sensor);
-        }
-        sensors.into_values().collect()
+            }
+        };
+        BTreeSet::from_iter(sensors.copied()).into_iter().map(sensor).collect()
     }
 
     fn text(&self) -> String {
@@ -303,7 +305,7 @@ fn of_another_program(summary: &Summary, output: &Output) {
 const MAX_EVENTS: usize = 500;
 
 /// The first events of the device with their times, and the number of further ones.
-fn events(link: &LinkHistory) -> (Vec<String>, usize) {
+fn events(link: &capture::Link) -> (Vec<String>, usize) {
     let mut all: Vec<String> = Vec::new();
     for (time, event) in link.boots.iter().flat_map(|boot| &boot.events) {
         let text = format!("{:.2} s: {event}", time.to_seconds());
@@ -320,17 +322,17 @@ fn events(link: &LinkHistory) -> (Vec<String>, usize) {
 fn recording(path: &Path, output: &Output) -> Result<()> {
     // Without usable keys tags are not verified, and that is reported where there are tags.
     let keys = KeyFolder::of_user().and_then(|folder| folder.all());
-    let mut recording = Recording::survey_with_keys(path, keys.unwrap_or_default())?;
-    for link in &mut recording.links {
+    let mut recording = Capture::survey(path, keys.unwrap_or_default())?;
+    for link in recording.links.values_mut() {
         let device_id = link.hello().map(|hello| hello.device_id);
         link.authentication.key_known = device_id.is_some_and(|id| !KeyFolder::own(id).is_empty());
     }
     let wholeness = recording.wholeness;
-    let tags = recording.links.iter().flat_map(|link| link.authentication.findings());
+    let tags = recording.links.values().flat_map(|link| link.authentication.findings());
     let findings = Vec::from_iter(wholeness.finding().into_iter().chain(tags));
     let links: Vec<Link> = recording
         .links
-        .into_iter()
+        .into_values()
         .map(|link| {
             let counts = link.boots.iter().map(|boot| &boot.counts);
             let sum = |of: fn(&Counts) -> usize| counts.clone().map(of).sum();
@@ -339,8 +341,8 @@ fn recording(path: &Path, output: &Output) -> Result<()> {
                 role: link.role.to_string(),
                 device: link.hello().map(Device::from),
                 starts: link.boots.len(),
-                raw_samples: sum(|counts| counts.raw),
-                corrected_samples: sum(|counts| counts.corrected),
+                raw_samples: link.count(0, Stream::Raw),
+                corrected_samples: link.count(0, Stream::Corrected),
                 epochs: sum(|counts| counts.epochs),
                 navigation: sum(|counts| counts.navigation),
                 attitudes: sum(|counts| counts.attitudes),

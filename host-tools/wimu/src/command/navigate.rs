@@ -11,8 +11,8 @@ pub use live::Beside;
 
 use serde::Serialize;
 use wimu_host::calibration::read_parameters;
+use wimu_host::capture::{Boot, Capture, Link};
 use wimu_host::digits::{signed, significant};
-use wimu_host::history::{Boot, LinkHistory, Recording};
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
@@ -146,7 +146,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     if !is_of_wimu || arguments.geometry.is_some() {
         return inertial::run(arguments, output);
     }
-    let recording = Recording::load(&arguments.input)?;
+    let recording = Capture::load(&arguments.input)?;
     let link = recording.link(arguments.reading.link.map(Into::into))?;
     let calibration = arguments.calibration.first();
     let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
@@ -173,7 +173,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
 
 /// The filter's path through the longest start of the device. It may be absent if no option asks for it.
 fn path(
-    link: &LinkHistory,
+    link: &Link,
     arguments: &Navigate,
     calibration: Option<&ParameterSet>,
     name: &str,
@@ -198,14 +198,14 @@ fn path(
 fn start(boot: &Boot, arguments: &Navigate, calibration: Option<&ParameterSet>) -> Result<Start> {
     let device = Track::of(&navigation::device(boot));
     let as_device = calibration.is_none() && arguments.zupt.is_none();
-    if as_device || boot.epochs.is_empty() {
+    if as_device || boot.epochs().is_empty() {
         return Ok(Start {
             device,
             recomputed: Track::of(&navigation::replayed(boot)),
-            replay: (!boot.epochs.is_empty()).then(|| replay::verify(boot, 0)),
+            replay: (!boot.epochs().is_empty()).then(|| replay::verify(boot, 0)),
         });
     }
-    let mark = &boot.epochs[boot.epochs.len() - 1];
+    let mark = &boot.epochs()[boot.epochs().len() - 1];
     let zupt =
         arguments.zupt.map_or(mark.epoch.state.config.zupt, |zupt| zupt != ZeroVelocity::Off);
     let points = navigation::recomputed(boot, calibration, zupt)?;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use wimu_host::calibration::{read_model, read_parameters, zero_count};
+use wimu_host::capture::Capture;
 use wimu_host::digits::east_north_up;
 use wimu_host::formats;
-use wimu_host::history::Recording;
 use wimu_host::inertial::{
     self, Aided, Choice, Fixes, InertialPath, Method, Move, Profile, Zupt, consistency, navigate,
 };
@@ -160,7 +160,7 @@ pub fn unit(
             "record the board: wimu record LINK -o A.mcap",
         )),
         Input::Recording(_) => {
-            let recording = Recording::load(file)?;
+            let recording = Capture::load(file)?;
             let link = recording.link(arguments.reading.link.map(Into::into))?;
             let longest = link.longest().ok_or_else(|| {
                 Code::NoRows

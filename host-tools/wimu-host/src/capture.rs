@@ -1,6 +1,6 @@
-//! Decoded data of links, from a recording or from a live board.
+//! Decoded data of a board, from a recording or from live links: one structure, by link, start, sensor and stream.
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
 use wimu_link::batch::Stream;
@@ -17,13 +17,12 @@ use crate::authentication::Authentication;
 use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::{Arrival, Event, LinkStatistics, Samples, TimedSample, sequence_order};
-use crate::units::RawUnit;
 use crate::walk::Start;
 use crate::{Code, Problem, Result};
 
-mod recording;
+mod read;
 
-pub use recording::{Recording, StartData};
+pub use read::{Capture, StartData};
 
 /// Largest number of parameter changes, settings changes and events kept of a start, each.
 const MAX_KEPT: usize = 4096;
@@ -39,35 +38,13 @@ pub struct EpochMark {
     pub after_loss: bool,
 }
 
-/// Data of a further sensor, index 1 to 7.
-#[derive(Clone, Debug, Default)]
-pub struct Track {
-    /// Raw samples, LSB, by sequence number.
-    pub raw: Vec<TimedSample>,
-    /// Epochs, by sequence number; they define the unit of the samples.
-    pub epochs: Vec<EpochMark>,
-}
-
-impl Track {
-    fn take(&mut self, event: &Event) {
-        match event {
-            Event::Samples(samples) => self.raw.extend(samples.iter()),
-            Event::Late(samples) => insert_late(&mut self.raw, samples),
-            Event::Epoch { epoch, after_loss } => {
-                self.epochs.push(EpochMark { epoch: *epoch, after_loss: *after_loss })
-            }
-            _ => {}
-        }
-    }
-}
-
-/// Numbers of what arrived in a start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Numbers of what arrived in a start, kept or not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Raw samples of sensor 0.
-    pub raw: usize,
-    /// Corrected samples of sensor 0.
-    pub corrected: usize,
+    /// Samples by sensor and stream, without late ones.
+    pub samples: BTreeMap<(u8, Stream), usize>,
+    /// Samples with an angular rate, by sensor.
+    pub rates: BTreeMap<u8, usize>,
     /// Epochs of sensor 0.
     pub epochs: usize,
     /// Velocities and positions.
@@ -77,26 +54,15 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Samples of a stream of sensor 0.
-    pub fn samples(&self, stream: Stream) -> usize {
-        match stream {
-            Stream::Raw => self.raw,
-            Stream::Corrected => self.corrected,
-        }
+    /// Samples of a stream of a sensor.
+    pub fn of(&self, sensor: u8, stream: Stream) -> usize {
+        self.samples.get(&(sensor, stream)).copied().unwrap_or_default()
     }
-}
 
-/// A sensor in a start.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SensorCounts {
-    /// Raw samples.
-    pub raw: usize,
-    /// Raw and corrected samples with an angular rate.
-    pub rates: usize,
-    /// Latest sample period, ns; 0 before an epoch.
-    pub period_ns: u32,
-    /// Latest unit of the raw samples.
-    pub unit: Option<RawUnit>,
+    /// Samples of a sensor with an angular rate.
+    pub fn rates_of(&self, sensor: u8) -> usize {
+        self.rates.get(&sensor).copied().unwrap_or_default()
+    }
 }
 
 /// Data of one link in one start of the device.
@@ -106,23 +72,17 @@ pub struct Boot {
     pub start: Option<Start>,
     /// Numbers of all that arrived.
     pub counts: Counts,
-    /// The sensors, by index.
-    pub sensors: BTreeMap<u8, SensorCounts>,
     /// Latest identification.
     pub hello: Option<Hello>,
-    /// Raw samples of sensor 0, LSB, by sequence number.
-    pub raw: Vec<TimedSample>,
-    /// Corrected samples of sensor 0, 2⁻¹⁶ m/s² and 2⁻²⁰ rad/s, by sequence number.
-    pub corrected: Vec<TimedSample>,
-    /// Epochs, by sequence number.
-    pub epochs: Vec<EpochMark>,
-    /// Further sensors, by index, 1 to 7.
-    pub further: BTreeMap<u8, Track>,
+    /// Samples by sensor and stream, by sequence number: LSB if raw, 2⁻¹⁶ m/s² and 2⁻²⁰ rad/s if corrected.
+    pub samples: BTreeMap<(u8, Stream), Vec<TimedSample>>,
+    /// Epochs by sensor, by sequence number; they define the unit of the sensor's raw samples.
+    pub marks: BTreeMap<u8, Vec<EpochMark>>,
     /// Magnetic field and temperature, by time.
     pub environment: Vec<Environment>,
-    /// Velocity and position, by sequence number.
+    /// Velocity and position, by sequence number of sensor 0.
     pub navigation: Vec<Navigation>,
-    /// Attitude, by sequence number.
+    /// Attitude, by sequence number of sensor 0.
     pub attitude: Vec<Attitude>,
     /// Parameters in use, as reported: the latest 4096 changes.
     pub parameters: Vec<ActiveParameters>,
@@ -130,9 +90,8 @@ pub struct Boot {
     pub settings: Vec<Settings>,
     /// Latest status.
     pub status: Option<Status>,
-    /// Events, each once: the latest 4096 and up to as many before them.
+    /// Events, each once: the latest 4096.
     pub events: Vec<(DeviceTimeUs, DeviceEvent)>,
-    known_events: HashSet<String>,
     /// Estimator of the device's clock.
     pub clock: ClockEstimator,
     /// Its model at the end of the data, once it is used: the estimate takes seconds.
@@ -141,6 +100,31 @@ pub struct Boot {
 }
 
 impl Boot {
+    /// The samples of a sensor in a stream, by sequence number.
+    pub fn of(&self, sensor: u8, stream: Stream) -> &[TimedSample] {
+        self.samples.get(&(sensor, stream)).map_or(&[], Vec::as_slice)
+    }
+
+    /// The raw samples of sensor 0.
+    pub fn raw(&self) -> &[TimedSample] {
+        self.of(0, Stream::Raw)
+    }
+
+    /// The corrected samples, which are of sensor 0.
+    pub fn corrected(&self) -> &[TimedSample] {
+        self.of(0, Stream::Corrected)
+    }
+
+    /// The epochs of a sensor, by sequence number.
+    pub fn epochs_of(&self, sensor: u8) -> &[EpochMark] {
+        self.marks.get(&sensor).map_or(&[], Vec::as_slice)
+    }
+
+    /// The epochs of sensor 0.
+    pub fn epochs(&self) -> &[EpochMark] {
+        self.epochs_of(0)
+    }
+
     /// Host time of a device time, ns, after the end of the data; `None` without a model.
     /// See [`ClockModel::host_ns`].
     pub fn host_ns(&self, time: DeviceTimeUs) -> Option<u64> {
@@ -157,9 +141,9 @@ impl Boot {
         self.ended.then(model)?
     }
 
-    /// Device time of a sample, if it arrived raw or corrected.
+    /// Device time of a sample of sensor 0, if it arrived raw or corrected.
     pub fn time_of(&self, sequence: u32) -> Option<DeviceTimeUs> {
-        [&self.raw, &self.corrected].into_iter().find_map(|samples| {
+        [self.raw(), self.corrected()].into_iter().find_map(|samples| {
             let found =
                 samples.binary_search_by(|sample| sequence_order(sample.sequence, sequence));
             found.ok().map(|index| samples[index].time)
@@ -202,8 +186,9 @@ impl Boot {
 
     /// A note where the source of parameters that its epochs name is not known here.
     pub fn unknown_source(&self) -> Option<Problem> {
-        let is_used =
-            |set: &ActiveParameters| self.epochs.iter().any(|mark| mark.epoch.parameters == set.id);
+        let is_used = |set: &ActiveParameters| {
+            self.epochs().iter().any(|mark| mark.epoch.parameters == set.id)
+        };
         self.parameters.iter().filter(|set| is_used(set)).find_map(ActiveParameters::unknown_source)
     }
 
@@ -223,16 +208,17 @@ impl Boot {
     /// they are unknown or have no magnetometer.
     pub fn corrected_field_nt(&self, environment: &Environment) -> Option<[f64; 3]> {
         let output = MagneticFieldNt(environment.magnetic_field_nt?);
-        let after = self.epochs.partition_point(|mark| mark.epoch.time_us <= environment.time_us);
-        let mark = self.epochs.get(after.saturating_sub(1))?;
+        let epochs = self.epochs();
+        let after = epochs.partition_point(|mark| mark.epoch.time_us <= environment.time_us);
+        let mark = epochs.get(after.saturating_sub(1))?;
         let set = self.parameters_of(&mark.epoch).ok()?;
         set.correct_field(output)
     }
 
-    /// Nominal sensitivity of the sensor from the epochs; `None` if the device does not know it.
-    pub fn nominal_sensitivity(&self) -> Option<Sensitivity> {
+    /// Nominal sensitivity of a sensor from its epochs; `None` if the device does not know it.
+    pub fn nominal_sensitivity(&self, sensor: u8) -> Option<Sensitivity> {
         let known = self.hello.is_none_or(|hello| hello.sensitivity_known);
-        let epoch = &self.epochs.first()?.epoch;
+        let epoch = &self.epochs_of(sensor).first()?.epoch;
         Sensitivity::from_lsb_per_g(epoch.sensitivity_lsb_per_g).ok().filter(|_| known)
     }
 
@@ -250,50 +236,58 @@ impl Boot {
                 all.drain(..all.len() - count);
             }
         }
-        for samples in [&mut self.raw, &mut self.corrected] {
-            keep(samples, count);
-        }
-        keep(&mut self.epochs, count);
+        self.samples.values_mut().for_each(|samples| keep(samples, count));
+        self.marks.values_mut().for_each(|marks| keep(marks, count));
         keep(&mut self.environment, count);
         keep(&mut self.attitude, count);
         keep(&mut self.navigation, count);
-        for track in self.further.values_mut() {
-            keep(&mut track.raw, count);
-            keep(&mut track.epochs, count);
-        }
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
-        self.hello.is_none() && self.counts.raw + self.counts.epochs == 0
+    fn is_empty(&self) -> bool {
+        self.hello.is_none() && self.samples.is_empty() && self.marks.is_empty()
     }
 
-    fn count(&mut self, event: &Event) {
+    /// Adds an event of this start.
+    fn take(&mut self, event: &Event) {
         match event {
-            Event::Samples(samples) => match samples.stream {
-                Stream::Raw => self.counts.raw += samples.values.len(),
-                Stream::Corrected => self.counts.corrected += samples.values.len(),
-            },
-            Event::Epoch { .. } => self.counts.epochs += 1,
-            Event::Navigation(_) => self.counts.navigation += 1,
-            Event::Attitude(_) => self.counts.attitudes += 1,
-            _ => {}
-        }
-        let event = event.of_any_sensor();
-        let Some(sensor) = event.sensor() else {
-            return;
-        };
-        let sensor = self.sensors.entry(sensor).or_default();
-        match event {
+            Event::Hello(hello) => self.hello = Some(*hello),
             Event::Samples(samples) => {
-                sensor.rates += samples.rates.len();
-                if samples.stream == Stream::Raw {
-                    sensor.raw += samples.values.len();
+                let key = (samples.sensor, samples.stream);
+                *self.counts.samples.entry(key).or_default() += samples.values.len();
+                *self.counts.rates.entry(samples.sensor).or_default() += samples.rates.len();
+                self.samples.entry(key).or_default().extend(samples.iter());
+            }
+            Event::Late(late) => {
+                insert_late(self.samples.entry((late.sensor, late.stream)).or_default(), late);
+            }
+            Event::Epoch { epoch, after_loss } => {
+                self.counts.epochs += usize::from(epoch.sensor == 0);
+                let mark = EpochMark { epoch: *epoch, after_loss: *after_loss };
+                self.marks.entry(epoch.sensor).or_default().push(mark);
+            }
+            Event::Environment(environment) => self.environment.push(*environment),
+            Event::Navigation(navigation) => {
+                self.counts.navigation += 1;
+                self.navigation.push(*navigation);
+            }
+            Event::Attitude(attitude) => {
+                self.counts.attitudes += 1;
+                self.attitude.push(*attitude);
+            }
+            Event::Parameters(parameters) => push_change(&mut self.parameters, *parameters),
+            Event::Settings(settings) => push_change(&mut self.settings, *settings),
+            Event::Status(status) => self.status = Some(*status),
+            // Persistent faults are reported again to each new listener.
+            Event::Device { time, event } if !self.events.contains(&(*time, *event)) => {
+                push_change(&mut self.events, (*time, *event));
+            }
+            Event::Reply { reply, .. } => match reply.answer {
+                Answer::Accepted(Payload::Settings(settings)) => {
+                    push_change(&mut self.settings, settings);
                 }
-            }
-            Event::Epoch { epoch, .. } => {
-                sensor.period_ns = epoch.period_ns;
-                sensor.unit = RawUnit::of(epoch).or(sensor.unit);
-            }
+                Answer::Accepted(Payload::Status(status)) => self.status = Some(status),
+                _ => {}
+            },
             _ => {}
         }
     }
@@ -305,20 +299,6 @@ fn insert_late(known: &mut Vec<TimedSample>, samples: &Samples) {
             known.partition_point(|sample| sequence_order(sample.sequence, late.sequence).is_lt());
         known.insert(at, late);
     }
-}
-
-/// Adds an item that is not in `known`, which has the `Debug` texts of all items: a search in `all` would take longer
-/// with every item. Of twice [`MAX_KEPT`] the older half is dropped.
-fn push_new<T: std::fmt::Debug>(all: &mut Vec<T>, known: &mut HashSet<String>, item: T) {
-    if !known.insert(format!("{item:?}")) {
-        return;
-    }
-    if all.len() == 2 * MAX_KEPT {
-        for dropped in all.drain(..MAX_KEPT) {
-            known.remove(&format!("{dropped:?}"));
-        }
-    }
-    all.push(item);
 }
 
 /// Adds an item that differs from the latest; keeps [`MAX_KEPT`].
@@ -334,7 +314,7 @@ fn push_change<T: PartialEq>(kept: &mut Vec<T>, new: T) {
 
 /// Data of one link.
 #[derive(Clone, Debug)]
-pub struct LinkHistory {
+pub struct Link {
     /// Which link.
     pub role: LinkRole,
     /// One for each start of the device, the latest last; at least one.
@@ -347,7 +327,7 @@ pub struct LinkHistory {
     pub authentication: Authentication,
 }
 
-impl LinkHistory {
+impl Link {
     /// An empty one.
     pub fn new(role: LinkRole) -> Self {
         Self {
@@ -369,17 +349,16 @@ impl LinkHistory {
         (self.boots.iter().rev()).find_map(|boot| boot.status.as_ref())
     }
 
-    /// Samples of a stream of sensor 0 in all starts.
-    pub fn samples(&self, stream: Stream) -> usize {
-        let samples = |boot: &Boot| boot.counts.samples(stream);
-        self.boots.iter().map(samples).sum()
+    /// Number of samples of a stream of a sensor in all starts.
+    pub fn count(&self, sensor: u8, stream: Stream) -> usize {
+        self.boots.iter().map(|boot| boot.counts.of(sensor, stream)).sum()
     }
 
     /// Indices of the sensors with raw samples.
     pub fn sensors(&self) -> Vec<u8> {
-        let sensors = self.boots.iter().flat_map(|boot| &boot.sensors);
-        let with_samples = sensors.filter(|(_, counts)| counts.raw > 0);
-        let sensors: BTreeSet<u8> = with_samples.map(|(sensor, _)| *sensor).collect();
+        let keys = self.boots.iter().flat_map(|boot| boot.counts.samples.keys());
+        let raw = keys.filter(|(_, stream)| *stream == Stream::Raw);
+        let sensors: BTreeSet<u8> = raw.map(|(sensor, _)| *sensor).collect();
         sensors.into_iter().collect()
     }
 
@@ -391,7 +370,7 @@ impl LinkHistory {
 
     /// The start of the device with the most samples.
     pub fn longest(&self) -> Option<&Boot> {
-        let samples = |boot: &&Boot| boot.raw.len().max(boot.corrected.len());
+        let samples = |boot: &&Boot| boot.raw().len().max(boot.corrected().len());
         self.boots.iter().max_by_key(samples)
     }
 
@@ -410,7 +389,7 @@ impl LinkHistory {
     /// Those of [`Boot::parameters_of`].
     pub fn last_parameters(&self) -> Result<Option<ParameterSet>> {
         self.last_with_raw()
-            .and_then(|boot| Some((boot, boot.epochs.last()?)))
+            .and_then(|boot| Some((boot, boot.epochs().last()?)))
             .map(|(boot, mark)| boot.parameters_of(&mark.epoch))
             .transpose()
     }
@@ -418,19 +397,21 @@ impl LinkHistory {
     /// A note where the source of [`last_parameters`](Self::last_parameters) is not known here.
     pub fn unknown_source(&self) -> Option<Problem> {
         let boot = self.last_with_raw()?;
-        boot.reported(&boot.epochs.last()?.epoch).ok()?.unknown_source()
+        boot.reported(&boot.epochs().last()?.epoch).ok()?.unknown_source()
     }
 
     fn last_with_raw(&self) -> Option<&Boot> {
-        self.boots.iter().rev().find(|boot| !boot.raw.is_empty())
+        self.boots.iter().rev().find(|boot| !boot.raw().is_empty())
     }
 
     /// Removes the latest `count` raw samples of sensor 0.
     pub fn drop_latest_raw(&mut self, mut count: usize) {
         for boot in self.boots.iter_mut().rev() {
-            let kept = boot.raw.len().saturating_sub(count);
-            count -= boot.raw.len() - kept;
-            boot.raw.truncate(kept);
+            if let Some(raw) = boot.samples.get_mut(&(0, Stream::Raw)) {
+                let kept = raw.len().saturating_sub(count);
+                count -= raw.len() - kept;
+                raw.truncate(kept);
+            }
         }
     }
 
@@ -444,55 +425,18 @@ impl LinkHistory {
 
     /// Adds an event, but for its time of arrival.
     pub(crate) fn take_event(&mut self, event: &Event) {
-        if let Event::Epoch { epoch, .. } = event {
-            let id = epoch.parameter_id();
-            if self.parameter_ids.last() != Some(&id) && self.parameter_ids.len() < MAX_IDS {
-                self.parameter_ids.push(id);
-            }
-        }
-        let boot = self.latest();
-        boot.count(event);
         match event {
-            Event::Restart { .. } => {
-                if !boot.is_empty() {
-                    self.boots.push(Boot::default());
+            Event::Restart { .. } if !self.latest().is_empty() => {
+                return self.boots.push(Boot::default());
+            }
+            Event::Epoch { epoch, .. } if epoch.sensor == 0 => {
+                let id = epoch.parameter_id();
+                if self.parameter_ids.last() != Some(&id) && self.parameter_ids.len() < MAX_IDS {
+                    self.parameter_ids.push(id);
                 }
             }
-            Event::Hello(hello) => boot.hello = Some(*hello),
-            Event::Samples(samples) => match samples.stream {
-                Stream::Raw => boot.raw.extend(samples.iter()),
-                Stream::Corrected => boot.corrected.extend(samples.iter()),
-            },
-            Event::Late(samples) => match samples.stream {
-                Stream::Raw => insert_late(&mut boot.raw, samples),
-                Stream::Corrected => insert_late(&mut boot.corrected, samples),
-            },
-            Event::Further(event) => {
-                if let Some(sensor) = event.sensor() {
-                    boot.further.entry(sensor).or_default().take(event);
-                }
-            }
-            Event::Epoch { epoch, after_loss } => {
-                boot.epochs.push(EpochMark { epoch: *epoch, after_loss: *after_loss })
-            }
-            Event::Environment(environment) => boot.environment.push(*environment),
-            Event::Navigation(navigation) => boot.navigation.push(*navigation),
-            Event::Parameters(parameters) => push_change(&mut boot.parameters, *parameters),
-            Event::Settings(settings) => push_change(&mut boot.settings, *settings),
-            Event::Status(status) => boot.status = Some(*status),
-            Event::Device { time, event } => {
-                // Persistent faults are reported again to each new listener.
-                push_new(&mut boot.events, &mut boot.known_events, (*time, *event));
-            }
-            Event::Reply { reply, .. } => match reply.answer {
-                Answer::Accepted(Payload::Settings(settings)) => {
-                    push_change(&mut boot.settings, settings);
-                }
-                Answer::Accepted(Payload::Status(status)) => boot.status = Some(status),
-                _ => {}
-            },
-            Event::Attitude(attitude) => boot.attitude.push(*attitude),
-            Event::Tagged(_) | Event::Damaged(_) | Event::Unreadable(_) => {}
+            _ => {}
         }
+        self.latest().take(event);
     }
 }

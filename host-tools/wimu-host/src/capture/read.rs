@@ -9,7 +9,7 @@ use wimu_link::auth::DeviceKey;
 use wimu_link::batch::Stream;
 use wimu_link::{LinkRole, WIRE_VERSION};
 
-use super::{EpochMark, LinkHistory};
+use super::{EpochMark, Link};
 use crate::calibration::source::ActiveParameters;
 use crate::clock::{ClockEstimator, ClockModel};
 use crate::decode::Event;
@@ -23,11 +23,11 @@ const SURVEYED: usize = 64;
 
 /// A recording, decoded.
 #[derive(Clone, Debug)]
-pub struct Recording {
+pub struct Capture {
     /// Name of the file in errors.
     pub name: String,
-    /// Its links, the cable first.
-    pub links: Vec<LinkHistory>,
+    /// Its links.
+    pub links: BTreeMap<LinkRole, Link>,
     /// The starts of the device, from both links together.
     pub starts: BTreeMap<Start, StartData>,
     /// Identifiers of the devices.
@@ -50,7 +50,7 @@ pub struct StartData {
 }
 
 impl StartData {
-    /// The device's clock, from both links together; `None` without [`Recording::survey_of`].
+    /// The device's clock, from both links together; `None` without [`Capture::survey_of`].
     pub fn clock(&self) -> Option<&ClockModel> {
         let model = self.clock.get_or_init(|| self.estimator.model());
         model.as_ref()
@@ -70,7 +70,7 @@ impl StartData {
                 if has_clock {
                     self.estimator.heard(role, arrival);
                 }
-                if let Event::Epoch { epoch, .. } = arrival.event.of_any_sensor() {
+                if let Event::Epoch { epoch, .. } = &arrival.event {
                     self.units.entry(epoch.sensor).or_default().see(epoch);
                 }
             }
@@ -82,11 +82,11 @@ impl StartData {
     }
 }
 
-impl Recording {
+impl Capture {
     /// Reads and decodes a recording. One that was cut off gives its readable part.
     ///
     /// # Errors
-    /// Those of [`Recording::read`].
+    /// Those of [`Capture::read`].
     pub fn load(path: &Path) -> Result<Self> {
         Self::read(RecordingReader::open(path)?, &crate::untrusted::name(path))
     }
@@ -100,19 +100,12 @@ impl Recording {
         Self::listen(walker, reader, name, (usize::MAX / 2, false), |_, _, _| {})
     }
 
-    /// Counts, clocks and units of a recording, with the latest data only: memory does not grow with its length.
+    /// Counts, clocks and units of a recording, with the latest data only: memory does not grow with its length. Tags are
+    /// verified with the keys.
     ///
     /// # Errors
-    /// Those of [`Recording::read`].
-    pub fn survey(path: &Path) -> Result<Self> {
-        Self::survey_with_keys(path, Vec::new())
-    }
-
-    /// The same with keys, with which tags are verified.
-    ///
-    /// # Errors
-    /// Those of [`Recording::read`].
-    pub fn survey_with_keys(path: &Path, keys: Vec<DeviceKey>) -> Result<Self> {
+    /// Those of [`Capture::read`].
+    pub fn survey(path: &Path, keys: Vec<DeviceKey>) -> Result<Self> {
         let name = crate::untrusted::name(path);
         let (walker, reader) = (Walker::with_keys(keys), RecordingReader::open(path)?);
         Self::listen(walker, reader, &name, (SURVEYED, false), |_, _, _| {})
@@ -121,7 +114,7 @@ impl Recording {
     /// The same from an open reader, with the clock of each start from both links; `each` gets every step.
     ///
     /// # Errors
-    /// Those of [`Recording::read`].
+    /// Those of [`Capture::read`].
     pub fn survey_of<R: Read>(
         reader: RecordingReader<R>,
         name: &str,
@@ -140,7 +133,7 @@ impl Recording {
         mut each: impl FnMut(LinkRole, Start, &Step),
     ) -> Result<Self> {
         let anchor = reader.anchor()?;
-        let mut links: BTreeMap<u8, LinkHistory> = BTreeMap::new();
+        let mut links: BTreeMap<LinkRole, Link> = BTreeMap::new();
         let mut starts: BTreeMap<Start, StartData> = BTreeMap::new();
         let mut devices = BTreeSet::new();
         let mut span: Option<(u64, u64)> = None;
@@ -148,7 +141,7 @@ impl Recording {
             each(role, start, &step);
             let known = starts.entry(start).or_default();
             known.see(role, &step, has_clocks);
-            let link = (links.entry(role.number())).or_insert_with(|| LinkHistory::new(role));
+            let link = (links.entry(role)).or_insert_with(|| Link::new(role));
             match &step {
                 Step::Arrival(arrival) => {
                     if let Event::Hello(hello) = &arrival.event {
@@ -175,12 +168,11 @@ impl Recording {
         }
         let versions = walker.foreign_versions();
         for (role, carried) in walker.finish(&mut take)? {
-            let link = (links.entry(role.number())).or_insert_with(|| LinkHistory::new(role));
+            let link = (links.entry(role)).or_insert_with(|| Link::new(role));
             link.statistics = carried;
             link.boots.iter_mut().for_each(|boot| boot.ended = true);
         }
         readable(&links, &versions).map_err(|error| error.at(name))?;
-        let mut links: Vec<LinkHistory> = links.into_values().collect();
         share_parameters(&mut links);
         Ok(Self {
             name: name.to_owned(),
@@ -197,14 +189,13 @@ impl Recording {
     ///
     /// # Errors
     /// `no_rows` when there is none.
-    pub fn link(&self, role: Option<LinkRole>) -> Result<&LinkHistory> {
-        let raw = |link: &LinkHistory| link.samples(Stream::Raw);
-        let mut links = self.links.iter();
+    pub fn link(&self, role: Option<LinkRole>) -> Result<&Link> {
+        let raw = |link: &&Link| link.count(0, Stream::Raw);
         let found = match role {
-            Some(role) => links.find(|link| link.role == role),
-            None => (links.clone())
-                .find(|link| link.role == LinkRole::Cable && raw(link) > 0)
-                .or_else(|| links.max_by_key(|link| raw(link))),
+            Some(role) => self.links.get(&role),
+            None => (self.links.get(&LinkRole::Cable))
+                .filter(|link| raw(link) > 0)
+                .or_else(|| self.links.values().max_by_key(raw)),
         };
         found.ok_or_else(|| {
             let what = role.map_or("any link".to_owned(), |role| format!("the {role} link"));
@@ -216,8 +207,8 @@ impl Recording {
 }
 
 /// Refuses a recording whose links all use another wire version.
-fn readable(links: &BTreeMap<u8, LinkHistory>, versions: &BTreeMap<u8, u8>) -> Result<()> {
-    let foreign = |(role, link): (&u8, &LinkHistory)| {
+fn readable(links: &BTreeMap<LinkRole, Link>, versions: &BTreeMap<LinkRole, u8>) -> Result<()> {
+    let foreign = |(role, link): (&LinkRole, &Link)| {
         let version = versions.get(role)?;
         let has_epochs = link.boots.iter().any(|boot| boot.counts.epochs > 0);
         (!has_epochs && *version != WIRE_VERSION).then_some(*version)
@@ -235,18 +226,18 @@ fn readable(links: &BTreeMap<u8, LinkHistory>, versions: &BTreeMap<u8, u8>) -> R
 
 /// Gives each start the parameter sets that its epochs name and that only other starts or links have: a link may
 /// have lost them. A set is identified by its content.
-pub(super) fn share_parameters(links: &mut [LinkHistory]) {
-    let boots = || links.iter().flat_map(|link| &link.boots);
+fn share_parameters(links: &mut BTreeMap<LinkRole, Link>) {
+    let boots = || links.values().flat_map(|link| &link.boots);
     let known: Vec<ActiveParameters> = boots()
         .flat_map(|boot| &boot.parameters)
         .filter(|set| set.active.is_some())
         .copied()
         .collect();
-    for boot in links.iter_mut().flat_map(|link| &mut link.boots) {
+    for boot in links.values_mut().flat_map(|link| &mut link.boots) {
         for set in &known {
             let uses = |mark: &EpochMark| mark.epoch.parameters == set.id;
             let has = |own: &ActiveParameters| own.id == set.id && own.active.is_some();
-            if boot.epochs.iter().any(uses) && !boot.parameters.iter().any(has) {
+            if boot.epochs().iter().any(uses) && !boot.parameters.iter().any(has) {
                 boot.parameters.insert(0, *set);
             }
         }

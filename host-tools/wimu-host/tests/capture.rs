@@ -5,8 +5,8 @@ use std::io::Cursor;
 use wimu_host::Code;
 use wimu_host::calibration::parameter_id;
 use wimu_host::calibration::source::{self, ActiveParameters};
+use wimu_host::capture::{Boot, Capture, Link};
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::history::{LinkHistory, Recording};
 use wimu_host::mcap_file::{ClockAnchor, RecordingReader, RecordingWriter};
 use wimu_link::message::{Epoch, Event as DeviceEvent, SetBytes};
 use wimu_link::{LinkRole, Settings, Telemetry};
@@ -56,8 +56,8 @@ fn recording() -> Vec<u8> {
     recorded(&entries)
 }
 
-fn read(bytes: &[u8]) -> wimu_host::Result<Recording> {
-    Recording::read(RecordingReader::new(bytes, "a.mcap")?, "a.mcap")
+fn read(bytes: &[u8]) -> wimu_host::Result<Capture> {
+    Capture::read(RecordingReader::new(bytes, "a.mcap")?, "a.mcap")
 }
 
 #[test]
@@ -67,17 +67,16 @@ fn links_and_starts_are_kept_apart() {
     assert_eq!(recording.duration_ns, 4_000_000_000);
     let cable = recording.link(None).unwrap();
     assert_eq!(cable.role, LinkRole::Cable);
-    assert_eq!((cable.boots.len(), cable.boots[0].raw.len()), (1, 500));
+    assert_eq!((cable.boots.len(), cable.boots[0].raw().len()), (1, 500));
     assert_eq!(cable.statistics.raw.missing, 0);
     // Sample 99, of 0.99 s, arrived at 1.007 s: times are by the fastest transfer.
     let host_ns = cable.boots[0].host_ns(DeviceTimeUs(990_000)).unwrap();
     assert!(host_ns.abs_diff(1_007_000_000) < 1000, "{host_ns}");
     let wireless = recording.link(Some(LinkRole::Wireless)).unwrap();
-    let raw: Vec<_> = wireless.boots.iter().map(|boot| boot.raw.len()).collect();
+    let raw: Vec<_> = wireless.boots.iter().map(|boot| boot.raw().len()).collect();
     assert_eq!(raw, [300, 200]);
-    let starts = |link: &LinkHistory| -> Vec<_> {
-        link.boots.iter().map(|boot| boot.start.unwrap()).collect()
-    };
+    let starts =
+        |link: &Link| -> Vec<_> { link.boots.iter().map(|boot| boot.start.unwrap()).collect() };
     assert_eq!(starts(wireless)[0], starts(cable)[0]);
     assert_ne!(starts(wireless)[1], starts(cable)[0]);
     assert_eq!(wireless.boots[1].hello.unwrap().boot_count, 2);
@@ -101,7 +100,7 @@ fn links_and_starts_share_the_parameter_sets_that_their_epochs_name() {
     ]));
     let recording = recording.unwrap();
     let wireless = recording.link(Some(LinkRole::Wireless)).unwrap();
-    let marks: Vec<_> = wireless.boots.iter().flat_map(|boot| &boot.epochs).collect();
+    let marks: Vec<_> = wireless.boots.iter().flat_map(Boot::epochs).collect();
     let found = |mark: usize| wireless.boots[0].parameters_of(&marks[mark].epoch);
     // The integers of a perfect sensor are one; its source is known by its id.
     let integers = found(0).unwrap();
@@ -118,7 +117,7 @@ fn a_recording_cut_off_gives_what_it_has() {
     let bytes = recording();
     let recording = read(&bytes[..bytes.len() * 3 / 4]).unwrap();
     assert!(recording.wholeness.truncated);
-    let raw = recording.link(None).unwrap().boots[0].raw.len();
+    let raw = recording.link(None).unwrap().boots[0].raw().len();
     assert!(raw > 0 && raw < 500, "{raw}");
 }
 
@@ -129,7 +128,7 @@ fn a_recording_of_another_version_is_named_unless_some_of_it_can_be_read() {
     assert_eq!(error.code, Code::BadRecording);
     assert!(error.text.contains("version 3"), "{error}");
     let recording = read(&recorded(&[foreign, (LinkRole::Cable, 1, second_of(1, 0))])).unwrap();
-    assert_eq!(recording.link(None).unwrap().boots[0].raw.len(), 100);
+    assert_eq!(recording.link(None).unwrap().boots[0].raw().len(), 100);
 }
 
 /// Parameter sets, settings and events of a start that are kept at least.
@@ -137,7 +136,7 @@ const MAX_KEPT: usize = 4096;
 
 #[test]
 fn changes_and_events_without_end_keep_the_latest_only() {
-    let mut link = LinkHistory::new(LinkRole::Cable);
+    let mut link = Link::new(LinkRole::Cable);
     let mut take = |event| {
         link.take(&Arrival { host_ns: 0, began_ns: 0, event });
     };
@@ -149,8 +148,8 @@ fn changes_and_events_without_end_keep_the_latest_only() {
     }
     let boot = &link.boots[0];
     let lengths = [boot.parameters.len(), boot.settings.len(), boot.events.len()];
-    assert_eq!(lengths, [MAX_KEPT, MAX_KEPT, MAX_KEPT + 10]);
+    assert_eq!(lengths, [MAX_KEPT; 3]);
     assert_eq!(boot.parameters[0].id, most + 10);
-    assert_eq!(boot.events[0].0, DeviceTimeUs(most.into()));
+    assert_eq!(boot.events[0].0, DeviceTimeUs((most + 10).into()));
     assert_eq!(boot.settings.last().map(|last| last.gravity_um_s2), Some(2 * most + 9));
 }

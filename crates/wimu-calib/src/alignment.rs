@@ -1,6 +1,6 @@
 //! Alignment of the sensor with the body that it is mounted on.
 
-use core::fmt;
+use alloc::format;
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{
@@ -8,6 +8,8 @@ use nalgebra::{
     UnitQuaternion, Vector3,
 };
 use wimu_model::{Alignment, RotationCovariance};
+
+use crate::{Reason, Refusal};
 
 /// Smallest angle between directions, rad: 10°. Nearly parallel directions do not determine the
 /// rotation about them.
@@ -23,7 +25,6 @@ const MOST_TRANSVERSE: f64 = 0.35;
 
 /// A direction that is known in body axes and was measured in sensor axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct KnownDirection {
     /// In sensor axes, of any length: the corrected specific force at rest, which points up, or a
     /// [`straight_move`].
@@ -36,7 +37,6 @@ pub struct KnownDirection {
 
 /// The rotation from the sensor's axes to those of the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AlignmentEstimate {
     /// The rotation.
     pub alignment: Alignment,
@@ -45,85 +45,6 @@ pub struct AlignmentEstimate {
     /// Largest residual angle of a direction, rad.
     pub residual_rad: f64,
 }
-
-/// Why there is no alignment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum AlignmentRefusal {
-    /// Fewer than two directions: the rotation about one is undetermined.
-    TooFewDirections {
-        /// Number of directions.
-        have: usize,
-    },
-    /// A direction or its standard deviation is zero or not finite.
-    NoDirection {
-        /// Which, from 0.
-        direction: usize,
-    },
-    /// All directions are parallel: the rotation about them is undetermined.
-    Collinear {
-        /// Largest angle of a direction from their common line, rad.
-        angle_rad: f64,
-    },
-    /// The angles between the directions differ from those in the body.
-    Disagree {
-        /// Index of the direction with the largest residual.
-        direction: usize,
-        /// Residual, rad.
-        residual_rad: f64,
-    },
-    /// No displacement between the rests.
-    NotMoved {
-        /// Displacement, m.
-        distance_m: f64,
-    },
-    /// The movement was curved, or the sensor rotated.
-    NotStraight {
-        /// Ratio of transverse to longitudinal acceleration.
-        crookedness: f64,
-    },
-}
-
-impl fmt::Display for AlignmentRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::TooFewDirections { have } => write!(
-                out,
-                "{have} known direction, 2 are needed: a level rest and another one, or a straight \
-                 move"
-            ),
-            Self::NoDirection { direction } => write!(
-                out,
-                "direction {direction} (from 0) or its standard deviation is zero or not finite"
-            ),
-            Self::Collinear { angle_rad } => write!(
-                out,
-                "the directions are {:.1}° from one line: the rotation about it is undetermined; rest \
-                 the body on another side, or move it straight ahead",
-                angle_rad.to_degrees()
-            ),
-            Self::Disagree { direction, residual_rad } => write!(
-                out,
-                "direction {direction} (from 0) has a residual of {:.1}°: check which side of \
-                 the body was where, and calibrate the sensor first",
-                residual_rad.to_degrees()
-            ),
-            Self::NotMoved { distance_m } => write!(
-                out,
-                "the displacement is only {distance_m:.2} m: push the body ahead briskly, by half a metre or more"
-            ),
-            Self::NotStraight { crookedness } => write!(
-                out,
-                "the movement was not straight: {:.0} % of the acceleration was transverse; push the \
-                 body along a straight edge without rotating or tilting it",
-                crookedness * 100.0
-            ),
-        }
-    }
-}
-
-impl core::error::Error for AlignmentRefusal {}
 
 /// The rotation from the sensor's axes to those of the body that best agrees with two or more known
 /// directions. Equation (54) of docs/EQUATIONS.md.
@@ -143,14 +64,18 @@ impl core::error::Error for AlignmentRefusal {}
 /// assert!((sd[0] - sd_rad).abs() < 1e-6 && (sd[2] - sd_rad).abs() < 1e-6 && sd[1] < 0.8 * sd_rad);
 ///
 /// assert!(align(&[level, level]).is_err());
-/// # Ok::<(), wimu_calib::AlignmentRefusal>(())
+/// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 ///
 /// # Errors
-/// [`AlignmentRefusal`].
-pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, AlignmentRefusal> {
+/// [`Refusal`].
+pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Refusal> {
     if directions.len() < 2 {
-        return Err(AlignmentRefusal::TooFewDirections { have: directions.len() });
+        let have = directions.len();
+        let text = format!(
+            "{have} known direction, 2 are needed: a level rest and another one, or a straight move"
+        );
+        return Err(Refusal::new(Reason::TooFew { have, need: 2 }, text));
     }
     let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).filter(|u| u.norm() > 0.5);
     let mut attitude = Matrix3::<f64>::zeros();
@@ -163,7 +88,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
         let (Some(v), Some(u), true) =
             (unit(known.sensor), unit(known.body), weight.is_finite() && weight > 0.0)
         else {
-            return Err(AlignmentRefusal::NoDirection { direction });
+            return Err(no_direction(direction));
         };
         attitude += u * v.transpose() * weight;
         information += (Matrix3::identity() - u * u.transpose()) * weight;
@@ -180,7 +105,12 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
             .map(|u| from_line(&line, &u))
             .fold(0.0, f64::max);
         if angle_rad < LEAST_ANGLE_RAD / 2.0 {
-            return Err(AlignmentRefusal::Collinear { angle_rad });
+            let text = format!(
+                "the directions are {:.1}° from one line: the rotation about it is undetermined; rest the body on another \
+                 side, or move it straight ahead",
+                angle_rad.to_degrees()
+            );
+            return Err(Refusal::new(Reason::NotObservable, text));
         }
     }
     // Davenport's matrix, shifted so that no eigenvalue is negative.
@@ -196,12 +126,12 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
     let best = main_axis(davenport);
     let best = if best[0] < 0.0 { -best } else { best };
     let quaternion = [0, 1, 2, 3].map(|k| best[k]);
-    let none = AlignmentRefusal::NoDirection { direction: 0 };
-    let alignment = Alignment::from_quaternion(quaternion).map_err(|_| none)?;
-    let inverse = information.try_inverse().ok_or(none)?;
+    let none = || no_direction(0);
+    let alignment = Alignment::from_quaternion(quaternion).map_err(|_| none())?;
+    let inverse = information.try_inverse().ok_or_else(none)?;
     let covariance: [[f64; 3]; 3] =
         core::array::from_fn(|r| core::array::from_fn(|c| inverse[(r, c)]));
-    let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none)?;
+    let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none())?;
     let turn = UnitQuaternion::from_quaternion(Quaternion::new(best[0], best[1], best[2], best[3]));
     let mut worst = (0, 0.0, 0.0);
     for (direction, known) in directions.iter().enumerate() {
@@ -215,9 +145,20 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Alignme
     }
     let (direction, residual_rad, deviations) = worst;
     if deviations > MOST_DISAGREEMENT {
-        return Err(AlignmentRefusal::Disagree { direction, residual_rad });
+        let text = format!(
+            "direction {direction} (from 0) has a residual of {:.1}°: check which side of the body was where, and calibrate \
+             the sensor first",
+            residual_rad.to_degrees()
+        );
+        return Err(Refusal::new(Reason::PoorFit { rms: residual_rad, index: direction }, text));
     }
     Ok(AlignmentEstimate { alignment, covariance, residual_rad })
+}
+
+fn no_direction(index: usize) -> Refusal {
+    let text =
+        format!("direction {index} (from 0) or its standard deviation is zero or not finite");
+    Refusal::new(Reason::Input { index }, text)
 }
 
 /// The angle between two vectors, rad.
@@ -254,17 +195,17 @@ where
 /// let push = (0..100).map(|k| [2.0 * f64::sin(0.0628 * f64::from(k)), 0.0, 9.81]);
 /// let (ahead, sd_rad) = straight_move(rest, rest, push, 100.0)?;
 /// assert!(ahead[0] > 0.999 && sd_rad < 0.02);
-/// # Ok::<(), wimu_calib::AlignmentRefusal>(())
+/// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 ///
 /// # Errors
-/// [`AlignmentRefusal::NotMoved`] and [`AlignmentRefusal::NotStraight`].
+/// [`Refusal`] of a movement that is too short or not straight.
 pub fn straight_move(
     before: [f64; 3],
     after: [f64; 3],
     samples: impl Iterator<Item = [f64; 3]>,
     rate_hz: f64,
-) -> Result<([f64; 3], f64), AlignmentRefusal> {
+) -> Result<([f64; 3], f64), Refusal> {
     let rest = (Vector3::from(before) + Vector3::from(after)) * 0.5;
     let step = 1.0 / rate_hz;
     let (mut velocity, mut position) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
@@ -283,15 +224,22 @@ pub fn straight_move(
     let rms = libm::sqrt(scatter.trace() / count);
     let moved = distance_m >= LEAST_DISPLACEMENT_M && rms >= LEAST_ACCELERATION_MPS2;
     if !moved {
-        return Err(AlignmentRefusal::NotMoved {
-            distance_m: if distance_m.is_finite() { distance_m } else { 0.0 },
-        });
+        let distance_m = if distance_m.is_finite() { distance_m } else { 0.0 };
+        let text = format!(
+            "the displacement is only {distance_m:.2} m: push the body ahead briskly, by half a metre or more"
+        );
+        return Err(Refusal::new(Reason::NotObservable, text));
     }
     let ahead = distance / distance_m;
     let along = ahead.dot(&(scatter * ahead));
     let crookedness = libm::sqrt((scatter.trace() / along - 1.0).max(0.0));
     if crookedness > MOST_TRANSVERSE || crookedness.is_nan() {
-        return Err(AlignmentRefusal::NotStraight { crookedness });
+        let text = format!(
+            "the movement was not straight: {:.0} % of the acceleration was transverse; push the body along a straight edge \
+             without rotating or tilting it",
+            crookedness * 100.0
+        );
+        return Err(Refusal::new(Reason::PoorFit { rms: crookedness, index: 0 }, text));
     }
     // The principal axis of the acceleration is an independent estimate of the direction: noise and
     // vibration do not change it.

@@ -2,11 +2,12 @@
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
+use crate::fit::not_converged;
 use crate::multi_position::{Fitted, with_terms};
 use crate::terms::{Slot, Terms, Theta, theta_of};
 use crate::visits::Visits;
 use crate::{
-    BeyondBounds, Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Refusal,
+    BeyondBounds, Estimate, Gravity, Method, Model, MultiPosition, Parameter, Pose, Reason, Refusal,
 };
 
 /// Smallest number of degrees of freedom for further terms.
@@ -58,7 +59,7 @@ pub fn best_model(
     let visits = Visits::of(poses);
     let mut best: Option<(Fitted, f64)> = None;
     // Refusal of the nine-parameter model without further terms.
-    let mut nine = None;
+    let mut nine: Option<Refusal> = None;
     let mut average = Average::new();
     let mut nine_known = false;
     let mut violated: Option<(BeyondBounds, f64)> = None;
@@ -82,7 +83,7 @@ pub fn best_model(
                     }
                     if model == Model::Full9 && terms == least {
                         // A poor fit of observable parameters may need a further term.
-                        nine_known = matches!(refusal, Refusal::PoorFit { .. });
+                        nine_known = poor_fit(&refusal).is_some();
                         nine = Some(refusal);
                     }
                     continue;
@@ -90,7 +91,7 @@ pub fn best_model(
             };
             nine_known |= model == Model::Full9;
             if terms != least
-                && let Some(Refusal::PoorFit { rms_mps2, .. }) = nine
+                && let Some(rms_mps2) = nine.as_ref().and_then(poor_fit)
                 && fitted.kept_left_out_mps2 > OF_POOR_FIT * rms_mps2
             {
                 continue;
@@ -106,20 +107,16 @@ pub fn best_model(
         }
     }
     // A smaller model cannot repair a poor fit of nine observable parameters.
-    if let Some(
-        refusal @ (Refusal::PoorFit { .. }
-        | Refusal::PoseContradicted { .. }
-        | Refusal::Saturated { .. }),
-    ) = nine
+    if let Some(refusal) = nine.as_ref().filter(|refusal| is_final(refusal))
         && best.as_ref().is_some_and(|(best, _)| {
             best.estimate.method != Method::MultiPosition(Model::Full9)
                 && best.estimate.terms == least
         })
     {
-        return Err(refusal);
+        return Err(refusal.clone());
     }
     let Some((mut best, _)) = best else {
-        return Err(nine.unwrap_or(Refusal::NotConverged));
+        return Err(nine.unwrap_or_else(not_converged));
     };
     average.widen(&mut best, nine_known);
     let mut estimate = best.estimate;
@@ -133,6 +130,23 @@ pub fn best_model(
     Ok(estimate)
 }
 
+/// Residual of a converged fit that is too poor, m/s² rms.
+fn poor_fit(refusal: &Refusal) -> Option<f64> {
+    match refusal.reason {
+        Reason::PoorFit { rms, .. } if rms.is_finite() => Some(rms),
+        _ => None,
+    }
+}
+
+/// Whether a refusal of nine parameters holds for smaller models, too.
+fn is_final(refusal: &Refusal) -> bool {
+    poor_fit(refusal).is_some()
+        || matches!(
+            refusal.reason,
+            Reason::Contradicted { .. } | Reason::Axis { clipped: true, .. }
+        )
+}
+
 /// Bayesian information criterion of a model of `parameters` with this residual variance, (m/s²)².
 fn information(poses: usize, variance: f64, parameters: usize) -> f64 {
     let n = poses as f64;
@@ -141,7 +155,7 @@ fn information(poses: usize, variance: f64, parameters: usize) -> f64 {
 
 /// Score of a model: n ln(leave-one-out error²) with a penalty for each parameter. Lower is better.
 fn badness(fitted: &Fitted, terms: Terms) -> f64 {
-    let rejected = fitted.estimate.rejected.count() as f64;
+    let rejected = fitted.estimate.rejected.len() as f64;
     let n = fitted.telling + rejected;
     let square = fitted.kept_left_out_mps2 * fitted.kept_left_out_mps2;
     let all = square * (n + (LEFT_OUT * LEFT_OUT - 1.0) * rejected) / n;

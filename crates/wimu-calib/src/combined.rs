@@ -3,14 +3,16 @@
 
 mod regression;
 
-use core::fmt;
+use alloc::format;
 use core::mem::discriminant;
 
 use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 
 use crate::estimate::TermDeviations;
 use crate::terms;
-use crate::{Covariance, Estimate, Gravity, Parameter, Parameters, Term, Terms, student};
+use crate::{
+    Covariance, Estimate, Gravity, Parameter, Parameters, Reason, Refusal, Term, Terms, student,
+};
 use regression::{LEAST_SD, Sessions, slope_of};
 
 /// Probability that the session that departs most of those without a fault reaches the limit.
@@ -18,7 +20,6 @@ const FALSE_ALARM: f64 = 0.0027;
 
 /// Several sessions of one sensor, combined.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Combined {
     /// The error model, with temperature coefficients if they were estimated.
@@ -45,7 +46,6 @@ pub struct Combined {
 
 /// Parameters that have one standard deviation between sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Group {
     /// The bias, m/s².
     Bias,
@@ -70,7 +70,6 @@ impl Group {
 
 /// A session that departs from the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Departure {
     /// Its index.
     pub session: usize,
@@ -83,74 +82,12 @@ pub struct Departure {
     pub limit: f64,
 }
 
-/// Why sessions cannot be combined.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum CombineRefusal {
-    /// Fewer than two sessions.
-    TooFew {
-        /// Number of sessions.
-        have: usize,
-    },
-    /// A session has another method or other fitted parameters than the first.
-    Different {
-        /// Its index.
-        session: usize,
-    },
-    /// A session has temperature or quadratic terms.
-    Terms {
-        /// Its index.
-        session: usize,
-    },
-    /// A session was not fitted with the same exact gravity (standard deviation 0).
-    Gravity {
-        /// Its index.
-        session: usize,
-    },
-    /// A value of a session is not a finite number.
-    NotFinite {
-        /// Its index.
-        session: usize,
-    },
-    /// The result is out of bounds.
-    Model(ModelError),
-}
-
-impl fmt::Display for CombineRefusal {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::TooFew { have } => {
-                write!(out, "{have} of at least 2 sessions: record one more session")
-            }
-            Self::Different { session } => write!(
-                out,
-                "session {session} has another method or model than session 0: fit all with one"
-            ),
-            Self::Terms { session } => write!(
-                out,
-                "session {session} has temperature or quadratic terms: fit the sessions without \
-                 them"
-            ),
-            Self::Gravity { session } => {
-                write!(out, "session {session} was not fitted with the exact gravity of session 0")
-            }
-            Self::NotFinite { session } => {
-                write!(out, "session {session} has values that are not finite")
-            }
-            Self::Model(error) => write!(out, "the combined model is out of bounds: {error}"),
-        }
-    }
-}
-
-impl core::error::Error for CombineRefusal {}
-
 /// Combines the sessions of one sensor, each fitted with the same method and with the mean of
 /// `gravity` taken as exact. Each has its own parameters; `gravity` is common to all.
 ///
 /// # Errors
-/// [`CombineRefusal`] names the session that does not go with the first.
-pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, CombineRefusal> {
+/// [`Refusal`] names the session that does not go with the first.
+pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Refusal> {
     check(estimates)?;
     let sessions = Sessions::new(estimates, None);
     let found = Group::ALL.map(|group| sessions.between(group));
@@ -170,7 +107,8 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Com
             slope_sd.set(slot, libm::sqrt(lines[i].slope_variance) / unit);
         }
     }
-    let model = model(&theta, &sessions).map_err(CombineRefusal::Model)?;
+    let model = model(&theta, &sessions)
+        .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     let mut covariance = sessions.covariance(&lines);
     for parameter in estimates[0].fitted.iter() {
         let between = expected[Group::of(parameter) as usize];
@@ -190,27 +128,30 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Com
     })
 }
 
-fn check(estimates: &[Estimate]) -> Result<(), CombineRefusal> {
-    let first = match estimates {
-        [first, _, ..] => first,
-        _ => {
-            return Err(CombineRefusal::TooFew { have: estimates.len() });
-        }
+fn check(estimates: &[Estimate]) -> Result<(), Refusal> {
+    let [first, _, ..] = estimates else {
+        let have = estimates.len();
+        let text = format!("{have} of at least 2 sessions: record one more session");
+        return Err(Refusal::new(Reason::TooFew { have, need: 2 }, text));
     };
     for (session, estimate) in estimates.iter().enumerate() {
         let allowed = [Terms::NONE, Terms::NONE.with(Term::Drift)];
         let sound = |p: Parameter| estimate.covariance.sd(p).is_finite();
-        if estimate.fitted != first.fitted
+        let why = if estimate.fitted != first.fitted
             || discriminant(&estimate.method) != discriminant(&first.method)
         {
-            return Err(CombineRefusal::Different { session });
+            "has another method or model than session 0: fit all with one"
         } else if !allowed.contains(&estimate.terms) {
-            return Err(CombineRefusal::Terms { session });
+            "has temperature or quadratic terms: fit the sessions without them"
         } else if estimate.gravity.sd_mps2() > 0.0 || estimate.gravity != first.gravity {
-            return Err(CombineRefusal::Gravity { session });
+            "was not fitted with the exact gravity of session 0"
         } else if !Parameter::ALL.into_iter().all(sound) {
-            return Err(CombineRefusal::NotFinite { session });
-        }
+            "has values that are not finite"
+        } else {
+            continue;
+        };
+        let text = format!("session {session} {why}");
+        return Err(Refusal::new(Reason::Input { index: session }, text));
     }
     Ok(())
 }

@@ -5,7 +5,6 @@ use crate::{Gravity, Parameter, Parameters};
 
 /// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Covariance([[f64; Parameter::COUNT]; Parameter::COUNT]);
 
 impl Covariance {

@@ -8,7 +8,6 @@ use crate::{Estimate, Parameter, Term, student};
 
 /// A datasheet limit on the absolute value of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limit {
     /// In the unit of its [`Quantity`].
     pub most: f64,
@@ -264,7 +263,6 @@ const PAIRS: [&str; 3] = ["X-Y", "X-Z", "Y-Z"];
 
 /// A quantity with a datasheet limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Quantity {
     /// Output at zero force, mg: the bias.
     ZeroGOffset,
@@ -309,7 +307,6 @@ impl fmt::Display for Quantity {
 
 /// A parameter compared with the limit of the datasheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Finding {
     /// What.
     pub quantity: Quantity,
@@ -339,7 +336,6 @@ impl Finding {
 
 /// Whether a value is within its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Verdict {
     /// The whole 95 % confidence interval is within the limit.
     Within,

@@ -1,8 +1,7 @@
 //! Linear least-squares fit of an ellipsoid: equation (11).
 
-use nalgebra::{Cholesky, Matrix3, Vector3};
+use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
 
-use crate::symmetric::{MOST, Scaled, Symmetric, add};
 use crate::terms::{Slot, Theta};
 use crate::{Gravity, Model, Pose};
 
@@ -11,17 +10,20 @@ use crate::{Gravity, Model, Pose};
 pub(crate) fn ellipsoid(
     points: impl Iterator<Item = Vector3<f64>>,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-    let mut information = Symmetric::zero(9);
-    let mut right = [0.0; MOST];
+    let mut information = SMatrix::<f64, 9, 9>::zeros();
+    let mut right = SVector::<f64, 9>::zeros();
     for point in points {
         let [x, y, z] = [point.x, point.y, point.z];
         let [xy, xz, yz, x2, y2, z2] = [x * y, x * z, y * z, x, y, z].map(|value| 2.0 * value);
-        let row = [x * x, y * y, z * z, xy, xz, yz, x2, y2, z2];
-        information.add_outer(&row, 1.0);
-        add(&mut right, 1.0, &row);
+        let row = SVector::from([x * x, y * y, z * z, xy, xz, yz, x2, y2, z2]);
+        information.ger(1.0, &row, &row, 1.0);
+        right += row;
     }
     // xᵀSx + 2pᵀx = 1.
-    let (s, _) = Scaled::new(&information, 0.0)?.solve(&right);
+    let factor = Cholesky::new(information)?;
+    let pivots = factor.l_dirty().diagonal();
+    let regular = (0..9).all(|i| pivots[i] * pivots[i] > f64::EPSILON * information[(i, i)]);
+    let s = regular.then(|| factor.solve(&right))?;
     let shape = Matrix3::new(s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]);
     let p = Vector3::new(s[6], s[7], s[8]);
     let centre = -(shape.try_inverse()? * p);

@@ -1,16 +1,15 @@
 //! Result of a calibration.
 
+use alloc::vec::Vec;
 use core::fmt;
 
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, ModelError, SpecificForceMps2};
 
 use crate::terms::{self, Slot, Terms, Theta};
-use crate::weights::Rejected;
 use crate::{Covariance, Face, Gravity, Model, Parameter, Parameters, Pose, force, student};
 
 /// An error model and its quality.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct Estimate {
     /// The error model.
@@ -56,8 +55,8 @@ pub struct Estimate {
     /// Standard deviation of a fitted pose's residual besides known noise, m/s²; 0 for methods with
     /// known orientations.
     pub pose_sd_mps2: f64,
-    /// Rejected outliers.
-    pub rejected: Rejected,
+    /// Indices of the poses rejected as outliers.
+    pub rejected: Vec<usize>,
     /// With [`best_model`](crate::best_model): the model that would fit much better, and the bound
     /// that it violates.
     pub beyond_bounds: Option<BeyondBounds>,
@@ -104,7 +103,7 @@ impl Estimate {
             loo_rms_mps2: None,
             loo_orientation_rms_mps2: None,
             pose_sd_mps2: 0.0,
-            rejected: Rejected::default(),
+            rejected: Vec::new(),
             beyond_bounds: None,
             condition: 1.0,
             worst_sd_mps2: 0.0,
@@ -180,7 +179,6 @@ impl Estimate {
 
 /// A model that was not selected because a parameter is not plausible.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BeyondBounds {
     /// The model.
     pub model: Model,
@@ -192,7 +190,6 @@ pub struct BeyondBounds {
 
 /// Linear drift of the bias over a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Drift {
     /// From the first pose to the last, m/s².
     pub change_mps2: [f64; 3],
@@ -204,7 +201,6 @@ pub struct Drift {
 
 /// Method of an estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Method {
     /// Six known orientations, 12 parameters.
@@ -247,7 +243,6 @@ impl fmt::Display for Method {
 
 /// A side with a much larger placement error than the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Misplaced {
     /// The side, or one of the pair.
     pub face: Face,
@@ -260,7 +255,6 @@ pub struct Misplaced {
 
 /// Standard deviations, 1 σ, of an error model's terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Deviations {
     /// Of the bias, m/s².
     pub bias_mps2: [f64; 3],
@@ -270,7 +264,6 @@ pub struct Deviations {
 
 /// Standard deviations, 1 σ, of the [`Terms`]; 0 for those that were not fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TermDeviations {
     /// Of the drift from the first pose to the last, m/s².
     pub drift_mps2: [f64; 3],
@@ -331,6 +324,12 @@ impl Residuals {
             residuals.add(k, force::residual(theta, pose, gravity_mps2));
         }
         residuals
+    }
+
+    pub fn of_each(residuals_mps2: &[f64]) -> Self {
+        let mut all = Self::default();
+        residuals_mps2.iter().enumerate().for_each(|(k, residual)| all.add(k, *residual));
+        all
     }
 
     pub fn add(&mut self, pose: usize, residual_mps2: f64) {

@@ -1,7 +1,9 @@
 //! Marginal likelihood of a model: equation (49).
 
-use crate::least_squares::{Fit, Magnitude};
-use crate::symmetric::{MOST, Scaled, Symmetric, dot};
+use nalgebra::{DMatrix, DVector};
+
+use crate::least_squares::Scaled;
+use crate::magnitude::{Fit, Magnitude};
 use crate::terms::{PERFECT, Term};
 use crate::weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};
 
@@ -20,42 +22,39 @@ const BAD_POSE: f64 = -4.6;
 /// prior of the residuals' variance about that of [`POSE_SCATTER_MPS2`] and of the poses' mean
 /// noise, (m/s²)².
 pub(crate) fn evidence(fit: &Fit, problem: &Magnitude, telling: f64) -> f64 {
-    let (free, rejected) = (&problem.free, problem.rejected);
-    let (kept, noise) = (problem.poses.len() - rejected.count(), problem.mean_noise());
+    let free = &problem.free;
     // Poses of one orientation with a common error count as fewer poses.
-    let share = telling / kept as f64;
+    let share = telling / problem.count() as f64;
     let prior_dof = POSE_SCATTER_DOF as f64;
     let half_dof = 0.5 * ((telling - free.len() as f64).max(1.0) + prior_dof);
-    let expected = POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2 + noise;
+    let expected = POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2 + problem.mean_noise();
     let cost = share * fit.cost + prior_dof * expected;
     let variance = 0.5 * cost / half_dof;
-    let n = free.len();
-    let inverse = Symmetric::from_fn(n, |r, c| fit.inverse.at(r, c) / share);
+    let inverse = &fit.inverse / share;
     // About a perfect sensor. Parameters with a flat prior do not contribute.
-    let known = Symmetric::from_fn(n, |r, c| match (free[r].usual_sd(), free[c].usual_sd()) {
+    let n = free.len();
+    let known = DMatrix::from_fn(n, n, |r, c| match (free[r].usual_sd(), free[c].usual_sd()) {
         (Some(usual), Some(_)) => {
             let prior = if r == c { usual * usual } else { 0.0 };
-            variance * inverse.at(r, c) + prior
+            variance * inverse[(r, c)] + prior
         }
         _ if r == c => 1.0,
         _ => 0.0,
     });
-    let mut off = [0.0; MOST];
-    let mut constants = 0.0;
-    for (off, slot) in off.iter_mut().zip(free) {
-        if slot.usual_sd().is_some() {
-            *off = fit.theta[slot.index()] - PERFECT[slot.index()];
-            constants += libm::log(core::f64::consts::TAU);
-        }
-    }
+    let off = DVector::from_fn(n, |i, _| match free[i].usual_sd() {
+        Some(_) => fit.at[free[i].index()] - PERFECT[free[i].index()],
+        None => 0.0,
+    });
+    let proper = free.iter().filter(|slot| slot.usual_sd().is_some()).count();
+    let constants = proper as f64 * libm::log(core::f64::consts::TAU);
     let (Some(posterior), Some(prior)) = (Scaled::new(&inverse, 0.0), Scaled::new(&known, 0.0))
     else {
         return f64::NEG_INFINITY;
     };
-    let square = dot(&off, &prior.solve(&off).0);
+    let square = off.dot(&prior.solve(&off).0);
     let terms = free.iter().filter_map(|slot| slot.term());
     let terms: f64 = terms.map(|term| beforehand(term) / 3.0).sum();
-    let bad = rejected.count() as f64 * BAD_POSE;
+    let bad = problem.rejected.len() as f64 * BAD_POSE;
     libm::lgamma(half_dof) - half_dof * libm::log(core::f64::consts::PI * cost)
         + 0.5 * (posterior.ln_det() - constants - prior.ln_det() - square)
         + bad

@@ -38,7 +38,6 @@ const MOVED_BLOCKS: u8 = 2;
 /// rotation. Its first and last block are left out. A hold interrupted by a knock is one pose, from
 /// its longer part.
 #[derive(Clone, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PoseFinder {
     rate_hz: f64,
     block_samples: u32,
@@ -62,7 +61,6 @@ pub struct PoseFinder {
 
 /// A hold under way.
 #[derive(Clone, Copy, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Hold {
     inner: Moments,
     /// The latest block, left out if the hold ends: motion may have begun in it.

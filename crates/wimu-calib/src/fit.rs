@@ -1,20 +1,21 @@
 //! The fit of one model, its covariance and its refusals.
 
+use alloc::format;
+use alloc::vec::Vec;
+
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
-use crate::knowledge::Knowledge;
-use crate::least_squares::{Fit, Magnitude, Without};
+use crate::magnitude::{Fit, Knowledge, Magnitude, Shared};
 use crate::multi_position::{Fitted, Violation, range};
-use crate::shared::{Shared, Visited};
 use crate::terms::{self, PERFECT, Term, Terms, Theta};
 use crate::unfitted::Unfitted;
 use crate::visits::Visits;
-use crate::weights::{Rejected, Weighting};
+use crate::weights::Weighting;
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Refusal, design, ellipsoid,
-    input, outliers, pose,
+    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Reason, Refusal, design,
+    ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -29,11 +30,6 @@ const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
 const FAR_OFF_MPS2: f64 = 0.5;
 /// Leave-one-out error that is always accepted, m/s².
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
-
-/// Weights the poses, and rejects outliers if that is asked for, and fits again, from the least-squares
-/// fit with equal weights if that converged. `None` if no fit converges.
-pub(crate) type Refine =
-    fn(&mut Magnitude, Option<Fit>, MultiPosition) -> Result<Option<Fit>, Refusal>;
 
 /// A fit whose parameters are observable.
 pub(crate) struct Found<'a> {
@@ -51,7 +47,6 @@ struct Basis {
     covariance: Covariance,
     /// Residuals of the poses that are not rejected, m/s² rms.
     rms_mps2: f64,
-    visited: Visited,
     shared: Shared,
 }
 
@@ -60,7 +55,6 @@ pub(crate) fn fit<'a>(
     visits: &'a Visits,
     gravity: Gravity,
     what: MultiPosition,
-    refine: Refine,
     conditions: Conditions,
 ) -> Result<Found<'a>, Refusal> {
     let mut problem = Magnitude {
@@ -69,49 +63,53 @@ pub(crate) fn fit<'a>(
         gravity_mps2: gravity.mps2(),
         conditions,
         weighting: Weighting::EQUAL,
-        rejected: Rejected::default(),
-        far: None,
+        rejected: Vec::new(),
         free: what.slots(),
-        terms: what.terms != Terms::NONE,
     };
     let defect = || {
-        let dead = || input::dead_axis(poses, gravity).map(|axis| Refusal::AxisStuck { axis });
+        let dead = || input::dead_axis(poses, gravity).map(Refusal::stuck);
         input::mixed_units(poses).or_else(dead)
     };
-    let solve = |start: &Theta| problem.solve(start, Without::Nothing);
-    let squares = ellipsoid::start(poses, gravity, what.model).and_then(|start| solve(&start));
-    let squares = squares.or_else(|| solve(&PERFECT));
-    let fit = match refine(&mut problem, squares, what) {
-        // Poses about one axis have no unique fit.
-        Err(Refusal::NotConverged) => None,
-        fit => fit?,
+    let ellipsoid = ellipsoid::start(poses, gravity, what.model);
+    let squares = ellipsoid.and_then(|start| problem.solve(&start));
+    let squares = squares.or_else(|| problem.solve(&PERFECT));
+    // Poses about one axis have no unique fit.
+    let fit = match what.reject {
+        true => searched(&mut problem, squares, what)?,
+        false => squares.and_then(|fit| weighted(&mut problem, fit)),
     };
     let knowledge = match &fit {
-        Some(fit) => problem.knowledge(fit, |problem, inverse| problem.condition(inverse)),
+        Some(fit) => problem.knowledge(fit),
         None => near_solution(&mut problem, what),
     };
     if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
         return Err(defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free)));
     }
     let Some((fit, knowledge)) = fit.zip(knowledge) else {
-        return Err(defect().unwrap_or(Refusal::NotConverged));
+        return Err(defect().unwrap_or_else(not_converged));
     };
     if let Some(axis) = input::stuck_axis(poses) {
-        return Err(Refusal::AxisStuck { axis });
+        return Err(Refusal::stuck(axis));
     }
     Ok(Found { problem, fit, knowledge, gravity, what })
+}
+
+pub(crate) fn not_converged() -> Refusal {
+    let text = "no error model gives these poses equal magnitude: check that the sensor was still, not saturated, and \
+                that every axis works";
+    Refusal::new(Reason::PoorFit { rms: f64::INFINITY, index: 0 }, text)
 }
 
 /// Observability at the bias and scale factors that fit best.
 fn near_solution(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge> {
     problem.free = MultiPosition { model: Model::BiasScale6, ..MultiPosition::default() }.slots();
-    let smaller = problem.solve(&PERFECT, Without::Nothing);
+    let smaller = problem.solve(&PERFECT);
     problem.free = what.slots();
-    problem.knowledge_at(&smaller.map_or(PERFECT, |fit| fit.theta))
+    problem.knowledge_at(&smaller.map_or(PERFECT, |fit| fit.at))
 }
 
-/// Rejects outliers.
-pub(crate) fn searched(
+/// Weights the poses and rejects outliers. `None` if no fit converges.
+fn searched(
     problem: &mut Magnitude,
     squares: Option<Fit>,
     what: MultiPosition,
@@ -122,113 +120,73 @@ pub(crate) fn searched(
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };
-    let fit = refined(problem, first, what)?;
-    Ok(fit.filter(|_| converged || problem.rejected.count() > 0))
+    let fit = outliers::reject(problem, first, what.model);
+    let fit = contradictions(problem, fit, what)?;
+    Ok(fit.filter(|_| converged || !problem.rejected.is_empty()))
 }
 
-fn refined(
+/// Rejects poses that the fit of the others contradicts, one by one.
+fn contradictions(
     problem: &mut Magnitude,
-    first: Fit,
+    fit: Fit,
     what: MultiPosition,
 ) -> Result<Option<Fit>, Refusal> {
-    let start = first.theta;
-    let fit = outliers::reject(problem, first, what.model).map_err(|pose| {
-        let mut squares = 0.0;
-        problem.residuals(&start, |_, residual| squares += residual * residual);
-        input::mixed_units(problem.poses).unwrap_or(Refusal::PoorFit {
-            rms_mps2: libm::sqrt(squares / problem.poses.len() as f64),
-            pose,
-        })
-    })?;
-    let mut fit = weighted(problem, Some(fit), what)?;
+    let mut fit = weighted(problem, fit);
     while let Some(current) = &fit
         && let Some(bad) = outliers::contradicted(problem, current, what.model)
     {
-        let known = problem.knowledge(current, |_, _| f64::NAN);
-        if !known.is_some_and(|known| known.suffices()) {
+        if !problem.knowledge(current).is_some_and(|known| known.suffices()) {
             // The poses do not determine the parameters: no outlier is the cause.
             break;
         }
         if !bad.spared {
             let poses = problem.poses;
-            let stuck = || input::stuck_axis(poses).map(|axis| Refusal::AxisStuck { axis });
-            let clipped = || input::clipped_axis(poses).map(|axis| Refusal::Saturated { axis });
+            let stuck = || input::stuck_axis(poses).map(Refusal::stuck);
+            let clipped = || input::clipped_axis(poses).map(Refusal::saturated);
             let refusal = input::mixed_units(poses).or_else(stuck).or_else(clipped);
-            return Err(refusal.unwrap_or(Refusal::PoseContradicted {
-                pose: bad.pose,
-                or: bad.or,
-                off_mps2: bad.off_mps2,
-            }));
+            return Err(refusal.unwrap_or_else(|| bad.refusal()));
         }
-        problem.rejected = problem.rejected.with(bad.pose);
+        problem.rejected.push(bad.pose);
         problem.weighting = Weighting::EQUAL;
-        let without = problem.solve(&current.theta, Without::Nothing);
-        fit = weighted(problem, Some(without.ok_or(Refusal::NotConverged)?), what)?;
+        let without = problem.solve(&current.at);
+        fit = without.and_then(|fit| weighted(problem, fit));
     }
     Ok(fit)
 }
 
-/// Weights the poses, if every one has a noise figure.
-pub(crate) fn weighted(
-    problem: &mut Magnitude,
-    mut fit: Option<Fit>,
-    _: MultiPosition,
-) -> Result<Option<Fit>, Refusal> {
+/// Weights the poses, if every one has a noise figure. `None` if the fit does not converge.
+fn weighted(problem: &mut Magnitude, mut fit: Fit) -> Option<Fit> {
     if !problem.has_noise() {
-        return Ok(fit);
+        return Some(fit);
     }
     // Twice: the variance between poses is estimated with weights that depend on it.
     for _ in 0..2 {
-        let Some(current) = &fit else { break };
-        problem.weighting = outliers::weighting(problem, current);
-        let again = problem.solve(&current.theta, Without::Nothing);
-        fit = Some(again.ok_or(Refusal::NotConverged)?);
+        problem.weighting = Weighting::from_residuals(problem, &fit);
+        fit = problem.solve(&fit.at)?;
     }
-    Ok(fit)
+    Some(fit)
 }
 
 impl Found<'_> {
     fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis, Refusal> {
         let Self { problem, fit, what, .. } = self;
         let poses = problem.poses;
-        let theta = &fit.theta;
-        let free = &problem.free;
-        let error_terms = ErrorTerms {
-            bias_mps2: terms::bias(theta),
-            matrix: terms::matrix(theta),
-            temperature: TemperatureTerms {
-                reference_c: problem.conditions.reference_c,
-                bias_mps2_per_k: terms::triple(theta, 15),
-                scale_per_k: terms::triple(theta, 18),
-                ..TemperatureTerms::default()
-            },
-            nonlinearity: terms::triple(theta, 21),
-        };
-        let fitted_poses = poses.len() - problem.rejected.count();
-        let dof = fitted_poses - free.len();
-        let model = ErrorModel::new(error_terms).map_err(|error| {
+        let (theta, free) = (&fit.at, &problem.free);
+        let model = ErrorModel::new(self.error_terms()).map_err(|error| {
             if let Some(violation) = violation {
-                *violation = Some((error, fit.cost / dof as f64));
+                *violation = Some((error, fit.cost / (problem.count() - free.len()) as f64));
             }
-            Refusal::OutOfBounds(error)
+            Refusal::out_of_bounds(error, "an accelerometer")
         })?;
-        let visited = problem.visited();
-        let shared = problem.shared(fit, &visited).ok_or_else(|| Refusal::TooFewPoses {
-            have: visited.apart,
-            need: free.len() + 1,
-            model: what.model,
-            instead: None,
-        })?;
+        let too_few = || too_few_poses(problem.independent().0, *what);
+        let shared = problem.shared(fit).ok_or_else(too_few)?;
+        let residuals = problem.residuals(theta);
         let mut kept = Residuals::default();
-        problem.residuals(&fit.theta, |k, residual| {
-            if !problem.is_rejected(k, &poses[k]) {
-                kept.add(k, residual);
-            }
-        });
+        problem.kept().for_each(|k| kept.add(k, residuals[k]));
         if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
             && let Some(axis) = input::clipped_axis(poses)
         {
-            return Err(Refusal::Saturated { axis });
+            return Err(Refusal::saturated(axis));
         }
         let most_rms = match (what.model, what.terms) {
             (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
@@ -236,46 +194,54 @@ impl Found<'_> {
             _ => MOST_RMS_MPS2[0],
         };
         if kept.rms_mps2() > most_rms {
-            return Err(input::mixed_units(poses)
-                .unwrap_or(Refusal::PoorFit { rms_mps2: kept.rms_mps2(), pose: kept.worst_pose }));
+            return Err(input::mixed_units(poses).unwrap_or_else(|| poor_fit(&kept)));
         }
-        let known = |r, c| shared.variance * shared.spread.at(r, c);
         let mut covariance = Covariance::ZERO;
-        covariance.add_fitted(free, known);
+        covariance.add_fitted(free, |r, c| shared.variance * shared.spread[(r, c)]);
         if what.model != Model::Bias3 {
             covariance.add_gravity(theta, self.gravity);
         }
-        Ok(Basis { model, covariance, rms_mps2: kept.rms_mps2(), visited, shared })
+        Ok(Basis { model, covariance, rms_mps2: kept.rms_mps2(), shared })
+    }
+
+    fn error_terms(&self) -> ErrorTerms {
+        let theta = &self.fit.at;
+        ErrorTerms {
+            bias_mps2: terms::bias(theta),
+            matrix: terms::matrix(theta),
+            temperature: TemperatureTerms {
+                reference_c: self.problem.conditions.reference_c,
+                bias_mps2_per_k: terms::triple(theta, 15),
+                scale_per_k: terms::triple(theta, 18),
+                ..TemperatureTerms::default()
+            },
+            nonlinearity: terms::triple(theta, 21),
+        }
     }
 
     /// The estimate, judged by leaving poses out and by what its model leaves out.
     pub fn fitted(&self, violation: Option<&mut Violation>) -> Result<Fitted, Refusal> {
-        let Basis { model, covariance, rms_mps2, visited, shared } = self.basis(violation)?;
+        let Basis { model, covariance, rms_mps2, shared } = self.basis(violation)?;
         let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
-        let theta = &fit.theta;
-        let fitted_poses = poses.len() - problem.rejected.count();
-        let (mut all, mut left_out) = (Residuals::default(), Residuals::default());
+        let theta: &Theta = &fit.at;
+        let fitted_poses = problem.count();
+        let all = Residuals::of_each(&problem.residuals(theta));
+        let left_out = problem.left_out(fit, true);
         // By orientation: a repeated orientation does not confirm the model elsewhere.
+        let again = problem.independent().1;
+        let by_orientation = again.then(|| problem.left_out(fit, false));
+        let judged = by_orientation.as_ref().unwrap_or(&left_out);
         let mut kept_left_out = Residuals::default();
-        let mut by_orientation = Residuals::default();
-        problem.leave_out(fit, |k, residual, without| {
-            all.add(k, residual);
-            left_out.add(k, without);
-            if problem.is_rejected(k, &poses[k]) {
-                by_orientation.add(k, without);
-            } else if !problem.comes_again(&visited, k) {
-                kept_left_out.add(k, without);
-                by_orientation.add(k, without);
-            }
-        });
-        problem.leave_orientations_out(fit, &visited, |k, without| {
-            kept_left_out.add(k, without);
-            by_orientation.add(k, without);
-        });
+        problem.kept().for_each(|k| kept_left_out.add(k, judged[k]));
         let sd = libm::sqrt(shared.variance);
         let mut term_sd = TermDeviations::default();
-        term_sd.add_fitted(free, |i| shared.variance * shared.spread.at(i, i));
+        term_sd.add_fitted(free, |i| shared.variance * shared.spread[(i, i)]);
+        let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
+        let predicted = kept_left_out.rms_mps2();
+        if predicted > most || predicted.is_nan() {
+            return Err(poor_prediction(what.model, rms_mps2, &kept_left_out));
+        }
         let mut estimate = Estimate {
             model,
             method: Method::MultiPosition(what.model),
@@ -285,20 +251,20 @@ impl Found<'_> {
             term_sd,
             gravity: self.gravity,
             poses: fitted_poses,
-            orientations: visited.orientations,
+            orientations: problem.groups().len(),
             dof: fitted_poses - free.len(),
             interval_dof: Some(shared.dof),
             rms_mps2: all.rms_mps2(),
             fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,
             worst_pose: all.worst_pose,
-            loo_rms_mps2: None,
-            loo_orientation_rms_mps2: None,
+            loo_rms_mps2: Some(Residuals::of_each(&left_out).rms_mps2()),
+            loo_orientation_rms_mps2: by_orientation.map(|r| Residuals::of_each(&r).rms_mps2()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
-            rejected: problem.rejected,
+            rejected: problem.rejected.clone(),
             beyond_bounds: None,
             condition: self.knowledge.condition,
-            worst_sd_mps2: problem.worst_sd(fit, &self.knowledge, &shared),
+            worst_sd_mps2: sd * problem.amplification(theta, &shared.spread),
             coverage: design::coverage(poses),
             temperature_c: pose::mean_temperature(poses.iter()),
             temperature_range_c: range(poses, |pose| pose.temperature_c),
@@ -308,35 +274,7 @@ impl Found<'_> {
                 span_s: 1.0 / problem.conditions.per_span,
             }),
         };
-        let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
-        let predicted = kept_left_out.rms_mps2();
-        if predicted > most || predicted.is_nan() {
-            return Err(Refusal::PoorPrediction {
-                model: what.model,
-                loo_rms_mps2: predicted,
-                rms_mps2: estimate.fitted_rms_mps2,
-                pose: kept_left_out.worst_pose,
-                instead: None,
-            });
-        }
-        estimate.loo_rms_mps2 = Some(left_out.rms_mps2());
-        estimate.loo_orientation_rms_mps2 = visited.again.then(|| by_orientation.rms_mps2());
-        if let Some(unfitted) = Unfitted::of(problem, fit, &shared, *what, true) {
-            // Poses in a plane determine the bias normal to the plane up to its sign, and that only by
-            // its square: the derivatives vanish for a perfect sensor.
-            let perfect = at_perfect(problem, fit)
-                .and_then(|perfect| Unfitted::of(problem, &perfect, &shared, *what, false));
-            for unfitted in [Some(&unfitted), perfect.as_ref()].into_iter().flatten() {
-                if let Some(refusal) = unfitted.refusal(what.model) {
-                    return Err(refusal);
-                }
-            }
-            let added = |r, c| unfitted.covariance.at(r, c);
-            estimate.covariance.add_fitted(free, added);
-            estimate.term_sd.add_fitted(free, |i| added(i, i));
-            estimate.interval_dof = Some(unfitted.dof);
-            estimate.worst_sd_mps2 = unfitted.worst_sd_mps2;
-        }
+        self.widen(&mut estimate, &shared)?;
         Ok(Fitted {
             estimate,
             kept_left_out_mps2: predicted,
@@ -345,10 +283,67 @@ impl Found<'_> {
             evidence: 0.0,
         })
     }
+
+    /// Adds the effect of the parameters that the model leaves out.
+    fn widen(&self, estimate: &mut Estimate, shared: &Shared) -> Result<(), Refusal> {
+        let Self { problem, fit, what, .. } = self;
+        let Some(unfitted) = Unfitted::of(problem, fit, shared, *what, true) else {
+            return Ok(());
+        };
+        // Poses in a plane determine the bias normal to the plane up to its sign, and that only by
+        // its square: the derivatives vanish for a perfect sensor.
+        let perfect = problem.at_perfect(fit);
+        let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, shared, *what, false));
+        for unfitted in [Some(&unfitted), perfect.as_ref()].into_iter().flatten() {
+            if let Some(refusal) = unfitted.refusal(what.model) {
+                return Err(refusal);
+            }
+        }
+        let added = |r, c| unfitted.covariance[(r, c)];
+        estimate.covariance.add_fitted(&problem.free, added);
+        estimate.term_sd.add_fitted(&problem.free, |i| added(i, i));
+        estimate.interval_dof = Some(unfitted.dof);
+        estimate.worst_sd_mps2 = unfitted.worst_sd_mps2;
+        Ok(())
+    }
 }
 
-/// `fit` with the derivatives of a perfect sensor.
-fn at_perfect(problem: &Magnitude, fit: &Fit) -> Option<Fit> {
-    let information = problem.information(&PERFECT, &problem.weighting)?;
-    Some(Fit { inverse: information.inverse()?, cost: fit.cost, theta: PERFECT })
+fn poor_fit(residuals: &Residuals) -> Refusal {
+    let (rms, index) = (residuals.rms_mps2(), residuals.worst_pose);
+    let text = format!(
+        "the best model leaves {:.0} mm/s² rms: pose {index} (from 0) fits worst; leave it out, and check that the \
+         sensor was still and not saturated",
+        rms * 1e3
+    );
+    Refusal::new(Reason::PoorFit { rms, index }, text)
+}
+
+fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal {
+    let (predicted, index) = (left_out.rms_mps2(), left_out.worst_pose);
+    let predicts = match predicted.is_finite() {
+        true => format!("predicts a pose left out only to {:.2}", predicted * 1e3),
+        false => "cannot predict a pose left out".into(),
+    };
+    let text = format!(
+        "the {model} fits its own poses to {:.2} mm/s² rms but {predicts}: pose {index} (from 0) dominates the fit; \
+         add poses in other orientations, unlike those you have",
+        rms_mps2 * 1e3
+    );
+    Refusal::new(Reason::PoorPrediction { index }, text)
+}
+
+/// The refusal of `have` independent poses.
+pub(crate) fn too_few_poses(have: usize, what: MultiPosition) -> Refusal {
+    let need = what.parameters() + 1;
+    let text = match have {
+        0 => format!(
+            "no static pose: hold the sensor still for two seconds in each of {need} orientations or more"
+        ),
+        _ => format!(
+            "{have} static pose{}, the {} needs at least {need}: add poses in other orientations",
+            if have == 1 { "" } else { "s" },
+            what.model
+        ),
+    };
+    Refusal::new(Reason::TooFew { have, need }, text)
 }

@@ -1,4 +1,4 @@
-//! Specific force from an output under given parameters, and its derivatives.
+//! Specific force from an output under given parameters, and its derivatives: equations (13) and (41).
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::TemperatureTerms;
@@ -24,59 +24,25 @@ impl Conditions {
     }
 
     /// Time relative to the session: −1 at the first pose, 0 at the last.
-    pub fn progress(&self, pose: &Pose) -> f64 {
+    fn progress(&self, pose: &Pose) -> f64 {
         (pose.time_s - self.end_s) * self.per_span
     }
 
-    pub fn warmer(&self, pose: &Pose) -> f64 {
+    fn warmer(&self, pose: &Pose) -> f64 {
         pose.temperature_c.map_or(0.0, |celsius| celsius - self.reference_c)
     }
 }
 
-/// Parameters prepared for application to poses.
+/// Parameters prepared for application to outputs.
 pub(crate) struct Evaluated<'a> {
     theta: &'a Theta,
     /// A⁻¹ at T₀.
     inverse: Matrix3<f64>,
-    invert: Invert,
     /// Whether A depends on temperature.
     warms: bool,
-    /// Whether terms beyond the first twelve parameters are evaluated.
-    pub terms: bool,
 }
 
-/// A⁻¹ of a matrix with positive determinant. A mirrored A gives the same magnitudes; a step that
-/// leads to one was too long.
-type Invert = fn(&Matrix3<f64>) -> Option<Matrix3<f64>>;
-
-fn general(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
-    let minor = |r: usize, c: usize| {
-        let (i, j) = ((r + 1) % 3, (r + 2) % 3);
-        let (k, l) = ((c + 1) % 3, (c + 2) % 3);
-        a[(i, k)] * a[(j, l)] - a[(i, l)] * a[(j, k)]
-    };
-    let minors = Matrix3::from_fn(|r, c| minor(c, r));
-    let determinant =
-        a[(0, 0)] * minors[(0, 0)] + a[(0, 1)] * minors[(1, 0)] + a[(0, 2)] * minors[(2, 0)];
-    let factor = 1.0 / determinant;
-    (determinant > 0.0 && factor.is_finite()).then(|| minors * factor)
-}
-
-/// Of a lower triangular A, as determined by gravity alone.
-#[cfg_attr(not(target_os = "none"), inline(always))]
-fn triangular(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
-    let (zero, one) = (0.0, 1.0);
-    // The divisions are independent of each other.
-    let [x, y, z] = [one / a[(0, 0)], one / a[(1, 1)], one / a[(2, 2)]];
-    let yx = -a[(1, 0)] * x * y;
-    let zy = -a[(2, 1)] * y * z;
-    let zx = -(a[(2, 0)] * x + a[(2, 1)] * yx) * z;
-    let size = x * y * z;
-    let inverse = Matrix3::new(x, zero, zero, yx, y, zero, zx, zy, z);
-    (size > zero && size.is_finite()).then_some(inverse)
-}
-
-/// Intermediate results for one pose.
+/// Intermediate results for one output.
 pub(crate) struct Applied {
     inverse: Matrix3<f64>,
     z: Vector3<f64>,
@@ -86,56 +52,29 @@ pub(crate) struct Applied {
 }
 
 impl<'a> Evaluated<'a> {
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    fn with(theta: &'a Theta, terms: bool, invert: Invert) -> Option<Self> {
-        Some(Self {
-            theta,
-            inverse: invert(&Self::matrix(theta, 0.0))?,
-            invert,
-            warms: terms && Slot::SCALE_SLOPE.iter().any(|slot| theta[slot.index()] != 0.0),
-            terms,
-        })
-    }
-
-    /// Of parameters with a lower triangular A.
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn new(theta: &'a Theta, terms: bool) -> Option<Self> {
-        Self::with(theta, terms, triangular)
-    }
-
-    fn matrix(theta: &Theta, warmer: f64) -> Matrix3<f64> {
-        let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
-        if warmer != 0.0 {
-            for axis in 0..3 {
-                a[(axis, axis)] *= 1.0 + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
-            }
-        }
-        a
+    /// `None` unless A has a positive determinant. A mirrored A gives the same magnitudes; a step that leads to one
+    /// was too long.
+    pub fn new(theta: &'a Theta) -> Option<Self> {
+        let warms = Slot::SCALE_SLOPE.iter().any(|slot| theta[slot.index()] != 0.0);
+        Some(Self { theta, inverse: inverse(theta, 0.0)?, warms })
     }
 
     /// Specific force from `output`: equation (41).
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn apply(&self, output: [f64; 3], progress: f64, warmer: f64) -> Applied {
+    fn apply(&self, output: [f64; 3], progress: f64, warmer: f64) -> Applied {
         let theta = self.theta;
-        let inverse = if self.warms && warmer != 0.0 {
-            (self.invert)(&Self::matrix(theta, warmer)).unwrap_or(self.inverse)
-        } else {
-            self.inverse
-        };
-        let mut offset = Vector3::from_fn(|i, _| output[i] - theta[i]);
-        if self.terms {
-            for i in 0..3 {
-                offset[i] -= theta[12 + i] * progress + theta[15 + i] * warmer;
-            }
-        }
+        let warm = (self.warms && warmer != 0.0).then(|| inverse(theta, warmer)).flatten();
+        let inverse = warm.unwrap_or(self.inverse);
+        let offset = Vector3::from_fn(|i, _| {
+            output[i] - theta[i] - theta[12 + i] * progress - theta[15 + i] * warmer
+        });
         let z = inverse * offset;
-        let mut force = z;
-        if self.terms {
-            for i in 0..3 {
-                force[i] -= theta[21 + i] * z[i] * z[i];
-            }
-        }
+        let force = Vector3::from_fn(|i, _| z[i] - theta[21 + i] * z[i] * z[i]);
         Applied { inverse, z, force, progress, warmer }
+    }
+
+    /// Of a pose.
+    pub fn pose(&self, pose: &Pose, conditions: &Conditions) -> Applied {
+        self.apply(pose.mean_mps2, conditions.progress(pose), conditions.warmer(pose))
     }
 
     /// Of a given specific force at the last pose and T₀.
@@ -143,25 +82,14 @@ impl<'a> Evaluated<'a> {
         Applied { inverse: self.inverse, z: force, force, progress: 0.0, warmer: 0.0 }
     }
 
-    /// Common factors of the derivatives of |f|: w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    fn directions(&self, at: &Applied) -> (Vector3<f64>, Vector3<f64>) {
-        let mut m = at.force;
-        if self.terms {
-            for i in 0..3 {
-                m[i] *= 1.0 - 2.0 * self.theta[21 + i] * at.z[i];
-            }
-        }
-        // The division by |f| comes last, to overlap with the square root.
+    /// ∂|f|/∂θ of all parameters: equations (13) and (41).
+    pub fn derivatives(&self, at: &Applied) -> Theta {
+        let theta = self.theta;
+        let m = Vector3::from_fn(|i, _| at.force[i] * (1.0 - 2.0 * theta[21 + i] * at.z[i]));
         let norm = at.force.norm();
         let per_norm = if norm > 0.0 { 1.0 / norm } else { 1.0 };
-        (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm)
-    }
-
-    /// ∂|f|/∂θ of all parameters: equations (13) and (41).
-    #[cfg_attr(not(target_os = "none"), inline(always))]
-    pub fn derivatives(&self, at: &Applied) -> Theta {
-        let (w, n) = self.directions(at);
+        // w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
+        let (w, n) = (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm);
         let z = &at.z;
         let mut d = [0.0; Slot::COUNT];
         for row in 0..3 {
@@ -169,25 +97,29 @@ impl<'a> Evaluated<'a> {
             for column in 0..3 {
                 d[3 + 3 * row + column] = -w[row] * z[column];
             }
-        }
-        if !self.terms {
-            return d;
-        }
-        for row in 0..3 {
             d[12 + row] = -w[row] * at.progress;
             d[15 + row] = -w[row] * at.warmer;
-            d[18 + row] = d[3 + 4 * row] * self.theta[3 + 4 * row] * at.warmer;
-            d[3 + 4 * row] *= 1.0 + self.theta[18 + row] * at.warmer;
+            d[18 + row] = d[3 + 4 * row] * theta[3 + 4 * row] * at.warmer;
+            d[3 + 4 * row] *= 1.0 + theta[18 + row] * at.warmer;
             d[21 + row] = -n[row] * z[row] * z[row];
         }
         d
     }
 }
 
+/// A⁻¹ at `warmer` K above T₀.
+fn inverse(theta: &Theta, warmer: f64) -> Option<Matrix3<f64>> {
+    let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
+    for axis in 0..3 {
+        a[(axis, axis)] *= 1.0 + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+    }
+    a.try_inverse().filter(|_| a.determinant() > 0.0)
+}
+
 /// |f| from `output` at `warmer` K above T₀, m/s², and its derivatives with respect to the first
 /// twelve parameters: equation (13).
 pub(crate) fn magnitude(theta: &Theta, output: [f64; 3], warmer: f64) -> Option<(f64, [f64; 12])> {
-    let at = Evaluated::with(theta, true, general)?;
+    let at = Evaluated::new(theta)?;
     let applied = at.apply(output, 0.0, warmer);
     let all = at.derivatives(&applied);
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
@@ -195,29 +127,22 @@ pub(crate) fn magnitude(theta: &Theta, output: [f64; 3], warmer: f64) -> Option<
 
 /// Residual |f| − g of a pose under the first twelve parameters, m/s²; infinite if A is singular.
 pub(crate) fn residual(theta: &Theta, pose: &Pose, gravity_mps2: f64) -> f64 {
-    Evaluated::with(theta, false, general).map_or(f64::INFINITY, |at| {
-        let applied = at.apply(pose.mean_mps2, 0.0, 0.0);
-        applied.force.norm() - gravity_mps2
-    })
+    Evaluated::new(theta)
+        .map_or(f64::INFINITY, |at| at.apply(pose.mean_mps2, 0.0, 0.0).force.norm() - gravity_mps2)
 }
 
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the
 /// first twelve parameters: equation (17).
 pub(crate) fn worst_sd(theta: &Theta, covariance: &crate::Covariance, gravity_mps2: f64) -> f64 {
-    let Some(at) = Evaluated::with(theta, true, general) else {
+    let Some(at) = Evaluated::new(theta) else {
         return f64::INFINITY;
     };
-    let covariance = covariance.matrix();
+    let covariance = nalgebra::SMatrix::<f64, 12, 12>::from(*covariance.matrix());
     let variance = |orientation: Orientation| {
         let applied = at.at(Vector3::from(orientation.up().map(|c| c * gravity_mps2)));
-        let row = at.derivatives(&applied);
-        let mut sum = 0.0;
-        for (covariances, d) in covariance.iter().zip(row) {
-            for (covariance, e) in covariances.iter().zip(row) {
-                sum += d * *covariance * e;
-            }
-        }
-        sum
+        let all = at.derivatives(&applied);
+        let row = nalgebra::SVector::<f64, 12>::from_fn(|i, _| all[i]);
+        row.dot(&(covariance * row))
     };
     let worst = Orientation::ALL.into_iter().map(variance).fold(0.0, f64::max);
     libm::sqrt(worst)

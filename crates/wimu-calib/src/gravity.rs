@@ -8,7 +8,6 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 ///
 /// 9.7..=9.9 m/s², which covers the surface of the Earth (9.764 to 9.834).
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Gravity {
     mps2: f64,
     sd_mps2: f64,
@@ -93,7 +92,6 @@ impl Default for Gravity {
 
 /// A value that cannot be local gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum GravityError {
     /// Gravity is outside the range on Earth.
     OutOfBounds {

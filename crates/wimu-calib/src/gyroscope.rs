@@ -1,12 +1,12 @@
 //! Gyroscope calibration from the rotations between rests.
 
+mod advice;
 mod checks;
 mod filter;
-mod refusal;
 mod rests;
 mod turn;
 
-pub use refusal::{GyroscopeAdvice, GyroscopeRefusal, TurnFault};
+pub use advice::{GyroscopeAdvice, TurnFault};
 
 use nalgebra::SVector;
 use wimu_model::{
@@ -14,7 +14,9 @@ use wimu_model::{
     STANDARD_GRAVITY_MPS2,
 };
 
-use crate::{Covariance, Estimate, Parameters, Pose, Rejected, student};
+use alloc::vec::Vec;
+
+use crate::{Covariance, Estimate, Parameters, Pose, Refusal, student};
 use filter::{Angles, Noise, Pass};
 use rests::Session;
 
@@ -67,7 +69,6 @@ type Theta = SVector<f64, PARAMETERS>;
 
 /// One sample of a six-axis sensor, output not corrected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SixAxisSample {
     /// Time since the previous sample, s.
     pub step_s: f64,
@@ -79,7 +80,6 @@ pub struct SixAxisSample {
 
 /// The calibration of the accelerometer beside a gyroscope; its axes are the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AccelerometerCalibration {
     /// Error model.
     pub model: ErrorModel,
@@ -128,8 +128,7 @@ pub struct GyroscopeSession<'a> {
 }
 
 /// A gyroscope model and its quality.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct GyroscopeEstimate {
     /// The error model; its bias is that at the last rest.
@@ -151,15 +150,16 @@ pub struct GyroscopeEstimate {
     pub before_rad: f64,
     /// Corrected.
     pub rms_rad: f64,
-    left_out: [Option<(usize, TurnFault)>; Rejected::MOST],
+    /// Turns left out, by the index of the rest before, and why.
+    pub left_out: Vec<(usize, TurnFault)>,
 }
 
 impl GyroscopeSession<'_> {
     /// Estimates the errors of the gyroscope.
     ///
     /// # Errors
-    /// [`GyroscopeRefusal`].
-    pub fn estimate(&self) -> Result<GyroscopeEstimate, GyroscopeRefusal> {
+    /// [`Refusal`].
+    pub fn estimate(&self) -> Result<GyroscopeEstimate, Refusal> {
         let mut session = Session::new(self);
         let start = checks::plausible(&session)?;
         loop {
@@ -167,15 +167,16 @@ impl GyroscopeSession<'_> {
             let Angles { worst_rad, count, .. } = pass.angles;
             let (least, times, share) = OUTLIER;
             let is_outlier = worst_rad > least.max(times * pass.angles.others_rad());
-            let left = session.contradicted.count();
-            if is_outlier && left < Rejected::MOST && share * (left + 1) <= count + left {
-                session.contradicted = session.contradicted.with(pass.angles.worst_turn);
+            let left = session.contradicted.len();
+            if is_outlier && share * (left + 1) <= count + left {
+                session.contradicted.push(pass.angles.worst_turn);
                 continue;
             }
             if pass.angles.rms_rad() > LARGEST_RAD {
                 return Err(checks::inconsistent(&pass.angles));
             }
-            return result(&session, &theta, &pass, &noise).map_err(GyroscopeRefusal::OutOfBounds);
+            return result(&session, &theta, &pass, &noise)
+                .map_err(|error| Refusal::out_of_bounds(error, "a gyroscope"));
         }
     }
 }
@@ -186,17 +187,14 @@ fn perfect() -> Theta {
 }
 
 /// Iterates the linear filter, and the variances with it: equation (149).
-fn fit(
-    session: &Session<'_>,
-    start: checks::Start,
-) -> Result<(Theta, Pass, Noise), GyroscopeRefusal> {
+fn fit(session: &Session<'_>, start: checks::Start) -> Result<(Theta, Pass, Noise), Refusal> {
     let mut theta = perfect();
     (theta.fixed_rows_mut::<3>(0)).copy_from(&start.bias);
     let mut noise = Noise { sample: start.sample_variance, bias: BIAS_WALK, turn: TURN_ERROR[1] };
     let mut last = None;
     for round in 0..PASSES {
-        let none = checks::inconsistent(&Angles::default());
-        let pass = filter::pass(session, &theta, &noise).ok_or(none)?;
+        let none = || checks::inconsistent(&Angles::default());
+        let pass = filter::pass(session, &theta, &noise).ok_or_else(none)?;
         let moved = (0..PARAMETERS).map(|i| pass.change[i].abs() / sd(&pass, i));
         let moved = moved.fold(0.0, f64::max);
         theta += pass.change;
@@ -304,11 +302,6 @@ impl GyroscopeEstimate {
         let prior = PRIOR_SD.get(parameter);
         let sd = self.sd(parameter);
         prior.is_some_and(|prior| sd * sd < OBSERVED * prior * prior)
-    }
-
-    /// Turns left out, by the index of the rest before, and why; at most 16.
-    pub fn left_out(&self) -> impl Iterator<Item = (usize, TurnFault)> {
-        self.left_out.into_iter().flatten()
     }
 
     /// The parameters for a board whose gyroscope has this range and sensitivity.

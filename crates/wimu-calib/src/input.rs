@@ -1,6 +1,8 @@
 //! Plausibility checks of the poses, common to all methods.
 
-use crate::{Gravity, Pose, Refusal, UnitHint};
+use alloc::format;
+
+use crate::{Gravity, Pose, Reason, Refusal, UnitHint};
 
 /// Refuses poses that are not finite, whose mean magnitude cannot be gravity in m/s², or with a
 /// clipped axis.
@@ -15,7 +17,9 @@ pub(crate) fn check<'a>(
             && entry.sd_mps2.iter().all(|sd| sd.is_finite())
             && entry.rounding_sd_mps2.iter().all(|sd| sd.is_finite());
         if !finite {
-            return Err(Refusal::NotFinite { pose });
+            let text =
+                format!("pose {pose} (from 0) has a value that is not a finite number: remove it");
+            return Err(Refusal::new(Reason::Input { index: pose }, text));
         }
         sum += libm::sqrt(entry.mean_mps2.iter().map(|y| y * y).sum());
         count += 1.0;
@@ -26,11 +30,11 @@ pub(crate) fn check<'a>(
     let mean_mps2 = sum / count;
     match unit(mean_mps2, gravity.mps2()) {
         Some(hint) => Err(match stands(poses, mean_mps2) {
-            Some(axis) => Refusal::AxisStuck { axis },
-            None => Refusal::UnexpectedMagnitude { mean_mps2, hint },
+            Some(axis) => Refusal::stuck(axis),
+            None => Refusal::unexpected_magnitude(mean_mps2, hint),
         }),
         None => match silent_at_its_end(poses.clone()).or_else(|| nothing_between(poses)) {
-            Some(axis) => Err(Refusal::Saturated { axis }),
+            Some(axis) => Err(Refusal::saturated(axis)),
             None => Ok(()),
         },
     }
@@ -176,7 +180,10 @@ pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
     let rest = magnitudes(poses).filter(|size| !shorter(size));
     // All other poses have a similar magnitude.
     let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
-    alike.then_some(Refusal::MixedUnits { pose })
+    let magnitude = magnitudes(poses).nth(pose)?;
+    let text =
+        format!("pose {pose} (from 0) looks like g among poses in m/s²: give all in one unit");
+    alike.then(|| Refusal::new(Reason::Unit { magnitude, hint: UnitHint::G }, text))
 }
 
 fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {

@@ -2,6 +2,8 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+extern crate alloc;
+
 mod alignment;
 pub mod array;
 mod blocks;
@@ -19,10 +21,9 @@ mod force;
 mod gravity;
 mod gyroscope;
 mod input;
-mod knowledge;
 mod least_squares;
-mod linear;
 mod magnetometer;
+mod magnitude;
 mod model;
 mod multi_position;
 mod noise;
@@ -37,19 +38,17 @@ mod refusal;
 mod self_check;
 mod session;
 mod set;
-mod shared;
 mod six_position;
 mod student;
-mod symmetric;
 mod terms;
 mod turn;
 mod unfitted;
 mod visits;
 mod weights;
 
-pub use alignment::{AlignmentEstimate, AlignmentRefusal, KnownDirection, align, straight_move};
+pub use alignment::{AlignmentEstimate, KnownDirection, align, straight_move};
 pub use choice::best_model;
-pub use combined::{CombineRefusal, Combined, Departure, Group, combine};
+pub use combined::{Combined, Departure, Group, combine};
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
@@ -57,26 +56,22 @@ pub use estimate::{BeyondBounds, Deviations, Drift, Estimate, Method, Misplaced,
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use gyroscope::{
-    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeRefusal,
-    GyroscopeSession, SixAxisSample, TurnFault,
+    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeSession, SixAxisSample,
+    TurnFault,
 };
-pub use magnetometer::{
-    Disturbed, MagneticEstimate, MagneticPose, MagneticRefusal, MirroredAxes, magnetometer,
-};
+pub use magnetometer::{MagneticEstimate, MagneticPose, magnetometer};
 pub use model::{Model, MultiPosition};
 pub use multi_position::{multi_position, multi_position_with};
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, NoiseRefusal, is_clipped};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, is_clipped};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use placement::{Placement, PlacementError};
 pub use pose::Pose;
-pub use reference::{
-    AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer, TransferRefusal,
-};
-pub use refusal::{Refusal, UnitHint};
+pub use reference::{AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer};
+pub use refusal::{Reason, Refusal, UnitHint};
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
 pub use six_position::{six_position, six_position_labelled};
 pub use terms::{Term, Terms};
 pub use turn::{four_angle, three_angle};
-pub use weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Rejected};
+pub use weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};

@@ -2,14 +2,16 @@
 
 mod consensus;
 mod fit;
-mod refusal;
 
-pub use refusal::{Disturbed, MagneticRefusal, MirroredAxes};
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::MagnetometerModel;
 
-use crate::{Rejected, input, student};
+use crate::orientation::axis_name as name;
+use crate::{Reason, Refusal, UnitHint, input, student};
 
 /// Number of parameters of hard and soft iron, and of the rotation with the dip.
 const IRON: u32 = 9;
@@ -32,7 +34,6 @@ const PARALLEL_RAD: f64 = 0.35;
 
 /// Output of magnetometer and accelerometer in one orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MagneticPose {
     /// Output of the magnetometer, nT.
     pub output_nt: [f64; 3],
@@ -41,13 +42,12 @@ pub struct MagneticPose {
 }
 
 /// A magnetometer model, and the rejected poses.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MagneticEstimate {
     /// The model.
     pub model: MagnetometerModel,
-    /// Outliers: the field was disturbed there.
-    pub rejected: Rejected,
+    /// Indices of outliers: the field was disturbed there.
+    pub rejected: Vec<usize>,
 }
 
 impl MagneticEstimate {
@@ -103,7 +103,7 @@ impl MagneticEstimate {
 /// }
 /// let found = magnetometer(&poses, None)?;
 /// let model = found.model;
-/// assert_eq!(found.rejected.as_slice(), []);
+/// assert!(found.rejected.is_empty());
 /// assert!((model.terms().hard_iron_nt[0] - 10_000.0).abs() < 1.0);
 /// let mounting = model.terms().to_accelerometer.ok_or("a rotation")?;
 /// assert!((mounting.dip_rad.to_degrees() - 60.0).abs() < 0.01);
@@ -113,32 +113,36 @@ impl MagneticEstimate {
 /// ```
 ///
 /// # Errors
-/// [`MagneticRefusal`].
+/// [`Refusal`].
 pub fn magnetometer(
     poses: &[MagneticPose],
     dip_rad: Option<f64>,
-) -> Result<MagneticEstimate, MagneticRefusal> {
+) -> Result<MagneticEstimate, Refusal> {
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
-        return Err(MagneticRefusal::TooFewPoses { have, need });
+        let text = format!(
+            "{have} poses with a magnetic field, {need} are needed: hold it in more orientations"
+        );
+        return Err(Refusal::new(Reason::TooFew { have, need }, text));
     }
     for (pose, entry) in poses.iter().enumerate() {
         let size = |v: [f64; 3]| Vector3::from(v).norm();
         if !(size(entry.output_nt) < 1e300 && size(entry.up) > 1e-6 && size(entry.up) < 1e9) {
-            return Err(MagneticRefusal::NotFinite { pose });
+            let text = format!(
+                "pose {pose} (from 0) has a field or a direction that is zero or not finite: remove it"
+            );
+            return Err(Refusal::new(Reason::Input { index: pose }, text));
         }
     }
     plausible(poses)?;
-    let found = without_suspects(poses, Rejected::default()).or_else(|refusal| {
+    let found = without_suspects(poses, Vec::new()).or_else(|refusal| {
         // Several disturbed poses distort the fit so much that none is an outlier.
         let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
             return Err(refusal);
         };
-        let few = count <= disturbed.as_slice().len() && spares(have, count);
-        let again = few.then(|| without_suspects(poses, disturbed));
-        again
-            .and_then(Result::ok)
-            .ok_or(MagneticRefusal::FieldNotConstant { share, disturbed: disturbed.into() })
+        let few = count <= disturbed.len() && spares(have, count);
+        let again = few.then(|| without_suspects(poses, disturbed.clone()));
+        again.and_then(Result::ok).ok_or_else(|| fit::not_constant(share, &disturbed))
     })?;
     handedness(&found.model, dip_rad)?;
     Ok(found)
@@ -146,28 +150,26 @@ pub fn magnetometer(
 
 /// Whether `left_out` of `have` poses may be rejected.
 fn spares(have: usize, left_out: usize) -> bool {
-    left_out <= Rejected::MOST && DOUBTED * left_out <= have && have - left_out >= FEWEST
+    DOUBTED * left_out <= have && have - left_out >= FEWEST
 }
 
 /// Rejects outliers one by one.
 fn without_suspects(
     poses: &[MagneticPose],
-    mut rejected: Rejected,
-) -> Result<MagneticEstimate, MagneticRefusal> {
+    mut rejected: Vec<usize>,
+) -> Result<MagneticEstimate, Refusal> {
     loop {
         let mut suspect = None;
         let outcome = fit::model(poses, &rejected, &mut suspect);
         match suspect {
-            Some(pose) if spares(poses.len(), rejected.as_slice().len() + 1) => {
-                rejected = rejected.with(pose);
-            }
+            Some(pose) if spares(poses.len(), rejected.len() + 1) => rejected.push(pose),
             _ => return outcome.map(|model| MagneticEstimate { model, rejected }),
         }
     }
 }
 
 /// Refuses a dip opposite to that of the location.
-fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), MagneticRefusal> {
+fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), Refusal> {
     let Some(mounting) = model.terms().to_accelerometer else {
         return Ok(());
     };
@@ -197,29 +199,49 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), M
     };
     let pairs = [(0, 1), (1, 2), (0, 2)];
     let axes = if near(&-Matrix3::identity()) {
-        MirroredAxes::All
+        "all axes of the magnetometer are negated".into()
     } else if let Some(axis) = (0..3).find(|axis| near(&one(*axis))) {
-        MirroredAxes::One(axis)
+        format!("the magnetometer's axis {} is negated", name(axis))
     } else if let Some((a, b)) = pairs.into_iter().find(|(a, b)| near(&exchanged(*a, *b))) {
-        MirroredAxes::Exchanged(a, b)
+        format!("the magnetometer's axes {} and {} are exchanged", name(a), name(b))
     } else {
-        MirroredAxes::Unknown
+        String::from("an axis of the magnetometer is negated, or two are exchanged")
     };
-    Err(MagneticRefusal::Mirrored { dip_rad, axes })
+    let text = format!(
+        "the field's dip seems to be {:+.0}°, opposite to that of the location: {axes}; correct the order and signs of its \
+         axes in the driver or, if they are right, give the dip of the location (negative south of the magnetic equator)",
+        dip_rad.to_degrees()
+    );
+    Err(Refusal::new(Reason::Axes, text))
+}
+
+/// The refusal of a field of this magnitude.
+fn not_earths(field_nt: f64) -> Refusal {
+    let text = format!(
+        "the field seems to be {:.3e} µT, the Earth's is 22 to 67: check the unit (1 G is 100 µT), and that no magnet or \
+         motor is near",
+        field_nt * 1e-3
+    );
+    Refusal::new(Reason::Unit { magnitude: field_nt, hint: UnitHint::NotGravity }, text)
 }
 
 /// Refuses outputs that cannot be those of a magnetometer rotated in the field of the Earth.
-fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
+fn plausible(poses: &[MagneticPose]) -> Result<(), Refusal> {
     let limits = [0, 1, 2].map(|axis| input::extremes(poses.iter().map(|p| p.output_nt[axis])));
     let span = limits.map(|[low, high]| high - low);
     let widest = span.into_iter().fold(0.0, f64::max);
     let largest = limits.into_iter().flatten().map(f64::abs).fold(0.0, f64::max);
     let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
     if largest < 0.1 * fewest || widest > 10.0 * most {
-        return Err(MagneticRefusal::NotEarths { field_nt: largest.min(widest) });
+        return Err(not_earths(largest.min(widest)));
     }
     if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
-        return Err(MagneticRefusal::Dead { axis });
+        let text = format!(
+            "the magnetometer's axis {} says the same in all poses: it is dead, or every pose was turned about it; hold the \
+             board on other sides",
+            name(axis)
+        );
+        return Err(Refusal::new(Reason::Axis { axis, clipped: false }, text));
     }
     for (axis, limit) in (0..3).flat_map(|axis| limits[axis].map(|limit| (axis, limit))) {
         let at = || poses.iter().filter(|pose| pose.output_nt[axis] == limit);
@@ -237,8 +259,13 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), MagneticRefusal> {
             })
         };
         if at().count() >= CLIPPED && at().filter(elsewhere).count() + 1 >= CLIPPED {
-            let at_nt = limit;
-            return Err(MagneticRefusal::Clipped { axis, at_nt });
+            let text = format!(
+                "the magnetometer's axis {} stands at {:.1} µT in several poses: it is at its limit; take away the magnet \
+                 that drives it there",
+                name(axis),
+                limit * 1e-3
+            );
+            return Err(Refusal::new(Reason::Axis { axis, clipped: true }, text));
         }
     }
     Ok(())

@@ -1,13 +1,13 @@
 //! Options of the fit to the magnitude of gravity.
 
+use alloc::vec::Vec;
 use core::fmt;
 
-use crate::terms::{Slot, Slots, Terms};
+use crate::terms::{Slot, Terms};
 use crate::{Parameter, Parameters};
 
 /// Which parameters are fitted; the others are those of a perfect sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Model {
     /// The bias: 3.
     Bias3,
@@ -63,7 +63,6 @@ impl fmt::Display for Model {
 
 /// Options of [`multi_position_with`](crate::multi_position_with).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MultiPosition {
     /// The parameters.
     pub model: Model,
@@ -80,7 +79,7 @@ impl MultiPosition {
         self.model.parameters() + self.terms.parameters()
     }
 
-    pub(crate) fn slots(self) -> Slots {
+    pub(crate) fn slots(self) -> Vec<Slot> {
         let fitted = self.model.fitted();
         let is_fitted = |slot: &Slot| match slot.parameter() {
             Some(parameter) => fitted.contains(parameter),

@@ -1,13 +1,15 @@
 //! Calibration from the magnitude of gravity alone, in unknown orientations.
 
+use alloc::format;
+
 use wimu_model::ModelError;
 
 use crate::evidence::evidence;
-use crate::fit::{fit, searched, weighted};
+use crate::fit::{fit, too_few_poses};
 use crate::force::Conditions;
 use crate::terms::{Term, Terms};
 use crate::visits::Visits;
-use crate::{Estimate, Gravity, Model, MultiPosition, Pose, Refusal, input, pose};
+use crate::{Estimate, Gravity, Model, MultiPosition, Pose, Reason, Refusal, input, pose};
 
 /// Smallest temperature range for a temperature term, K: thermometers have as much noise.
 const LEAST_WARMING_K: f64 = 1.0;
@@ -23,13 +25,7 @@ const LEAST_WARMING_K: f64 = 1.0;
 /// # Errors
 /// [`Refusal`] when the poses do not determine the model. Its text says what to do.
 pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<Estimate, Refusal> {
-    let visits = Visits::of(poses);
-    let of = |model| {
-        let what = MultiPosition { model, ..MultiPosition::default() };
-        check(poses, gravity, what)?;
-        fit(poses, &visits, gravity, what, weighted, Conditions::none())?.fitted(None)
-    };
-    advised(model, of)
+    multi_position_with(poses, gravity, MultiPosition { model, ..MultiPosition::default() })
 }
 
 /// [`multi_position`] with further terms, and optionally with rejection of outliers. Equations (41)
@@ -38,29 +34,18 @@ pub fn multi_position(poses: &[Pose], gravity: Gravity, model: Model) -> Result<
 /// With [`Term::Drift`] the bias of the model is the bias at the last pose.
 ///
 /// # Errors
-/// [`Refusal`]; [`Refusal::TermNotObservable`] when the poses lack the times or temperatures that a term
-/// needs.
+/// [`Refusal`], also when the poses lack the times or temperatures that a term needs.
 pub fn multi_position_with(
     poses: &[Pose],
     gravity: Gravity,
     what: MultiPosition,
 ) -> Result<Estimate, Refusal> {
     let visits = Visits::of(poses);
-    let of = |model| {
-        let what = MultiPosition { model, ..what };
-        with_terms(poses, &visits, gravity, what, None)
-    };
-    advised(what.model, of)
-}
-
-/// The estimate of `model`, or its refusal with the largest smaller model that is supported.
-fn advised(
-    model: Model,
-    estimate: impl Fn(Model) -> Result<Fitted, Refusal>,
-) -> Result<Estimate, Refusal> {
-    match estimate(model) {
+    let estimate =
+        |model| with_terms(poses, &visits, gravity, MultiPosition { model, ..what }, None);
+    match estimate(what.model) {
         Ok(fitted) => Ok(fitted.alone()),
-        Err(refusal) => Err(refusal.advise(|smaller| estimate(smaller).is_ok())),
+        Err(refusal) => Err(refusal.advise(what.model, |smaller| estimate(smaller).is_ok())),
     }
 }
 
@@ -100,10 +85,9 @@ pub(crate) fn with_terms(
     what: MultiPosition,
     weigh: Option<&mut Violation>,
 ) -> Result<Fitted, Refusal> {
-    let refine = if what.reject { searched } else { weighted };
     check(poses, gravity, what)?;
     check_terms(poses, what.terms)?;
-    let found = fit(poses, visits, gravity, what, refine, conditions(poses, what.terms))?;
+    let found = fit(poses, visits, gravity, what, conditions(poses, what.terms))?;
     let weighed = weigh.is_some();
     let mut fitted = found.fitted(weigh)?;
     if weighed {
@@ -114,14 +98,13 @@ pub(crate) fn with_terms(
 
 fn check(poses: &[Pose], gravity: Gravity, what: MultiPosition) -> Result<(), Refusal> {
     let need = what.parameters() + 1;
-    let too_few = |have| Refusal::TooFewPoses { have, need, model: what.model, instead: None };
     if poses.len() < need {
-        return Err(too_few(poses.len()));
+        return Err(too_few_poses(poses.len(), what));
     }
     input::check(poses.iter(), gravity)?;
     let different = input::different(poses, need);
     if different < need {
-        return Err(too_few(different));
+        return Err(too_few_poses(different, what));
     }
     Ok(())
 }
@@ -140,7 +123,18 @@ fn check_terms(poses: &[Pose], terms: Terms) -> Result<(), Refusal> {
             Term::Quadratic => true,
         };
         if !shown {
-            return Err(Refusal::TermNotObservable { term });
+            return Err(Refusal::new(
+                Reason::NotObservable,
+                format!(
+                    "the term {term} is not observable: {}",
+                    match term {
+                        Term::Drift => "the poses have no times, or all the same",
+                        _ =>
+                            "a pose has no temperature, or all have the same within 1 K: warm or cool the sensor between \
+                          poses",
+                    }
+                ),
+            ));
         }
     }
     Ok(())

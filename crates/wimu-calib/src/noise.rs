@@ -3,18 +3,19 @@
 mod course;
 mod curve;
 mod ends;
-mod refusal;
 mod rest;
+
+use alloc::format;
 
 use course::Course;
 use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
 pub use ends::is_clipped;
-pub use refusal::NoiseRefusal;
 use rest::{Limits, Rest};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::input;
+use crate::orientation::axis_name;
+use crate::{Reason, Refusal, input};
 
 /// Number of levels, an octave of averaging time each.
 const LEVELS: usize = 26;
@@ -33,7 +34,6 @@ const LEAST_EDF: f64 = 4.0;
 
 /// One averaging time of an Allan deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AllanPoint {
     /// τ, s.
     pub tau_s: f64,
@@ -52,7 +52,6 @@ impl AllanPoint {
 
 /// A value and its standard deviation, 1 σ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Measured {
     /// The value.
     pub value: f64,
@@ -79,7 +78,6 @@ impl Measured {
 
 /// Noise of an axis: σ²(τ) = 3Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisNoise {
     /// N, velocity random walk, m/s/√s. √2 N is the one-sided noise density of datasheets,
     /// m/s²/√Hz.
@@ -198,7 +196,7 @@ fn cluster(place: usize) -> u64 {
 /// let walk = noise[0].velocity_random_walk;
 /// assert!((walk.value - 0.002).abs() < 4.0 * walk.sd && walk.sd < 0.0001);
 /// assert!(allan.points().next().is_some_and(|p| (p.deviation_mps2[0] - 0.02).abs() < 0.001));
-/// # Ok::<(), wimu_calib::NoiseRefusal>(())
+/// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct AllanVariance {
@@ -359,11 +357,16 @@ impl AllanVariance {
     /// The noise model of X, Y and Z.
     ///
     /// # Errors
-    /// [`NoiseRefusal`] when there are too few samples, the mean output is not gravity in m/s², the
+    /// [`Refusal`] when there are too few samples, the mean output is not gravity in m/s², the
     /// sensor was not at rest, or an axis is dead.
-    pub fn result(&self) -> Result<[AxisNoise; 3], NoiseRefusal> {
+    pub fn result(&self) -> Result<[AxisNoise; 3], Refusal> {
         if self.longest_run < FEWEST {
-            return Err(NoiseRefusal::TooShort { have: self.longest_run, need: FEWEST });
+            let (have, need) = (self.longest_run as usize, FEWEST as usize);
+            let text = format!(
+                "{have} samples at rest without a gap, {need} are needed: record for longer; ten minutes give the noise \
+                 density, an hour or more the bias instability"
+            );
+            return Err(Refusal::new(Reason::TooFew { have, need }, text));
         }
         let mean = |axis: usize| {
             let origin = self.origin.map_or(0.0, |origin| origin[axis]);
@@ -377,10 +380,15 @@ impl AllanVariance {
         // motion.
         let is_large = mean_mps2 > STANDARD_GRAVITY_MPS2;
         if let Some(hint) = hint.filter(|_| self.shows_gravity && (is_large || moved.is_none())) {
-            return Err(NoiseRefusal::UnexpectedMagnitude { mean_mps2, hint });
+            return Err(Refusal::unit("mean output", mean_mps2, hint));
         }
         if let Some((at_s, axis)) = moved {
-            return Err(NoiseRefusal::NotAtRest { at_s, axis });
+            let text = format!(
+                "the sensor was not at rest: axis {} moved about {at_s:.0} s after the start; leave it on a firm floor, and \
+                 record again or cut that part out",
+                axis_name(axis)
+            );
+            return Err(Refusal::new(Reason::Moved { index: at_s as usize }, text));
         }
         let counts = self.squares.map(|squares| squares.count as f64);
         let spans = Spans::new(self.longest_run, &counts);
@@ -388,14 +396,14 @@ impl AllanVariance {
         Ok([x?, y?, z?])
     }
 
-    fn axis(&self, axis: usize, spans: &Spans) -> Result<AxisNoise, NoiseRefusal> {
+    fn axis(&self, axis: usize, spans: &Spans) -> Result<AxisNoise, Refusal> {
         let mut curve = Curve::new(self.rate_hz, self.longest_run);
         let (mut floor_mps2, mut floor_tau_s) = (f64::INFINITY, 0.0);
         let mut sample_sd_mps2 = 0.0;
         for (place, point) in self.points().enumerate() {
             let deviation = point.deviation_mps2[axis];
             if deviation <= 0.0 || deviation.is_nan() {
-                return Err(NoiseRefusal::Dead { axis });
+                return Err(dead(axis));
             }
             if place == 0 {
                 sample_sd_mps2 = deviation;
@@ -405,7 +413,7 @@ impl AllanVariance {
                 (floor_mps2, floor_tau_s) = (deviation, point.tau_s);
             }
         }
-        let fitted = curve.fit(spans).ok_or(NoiseRefusal::Dead { axis })?;
+        let fitted = curve.fit(spans).ok_or_else(|| dead(axis))?;
         let [quantisation, white, flicker, walk, ramp] = fitted.terms;
         let is_one_event =
             (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
@@ -428,4 +436,13 @@ impl AllanVariance {
             clipped_samples: self.ends.clipped(axis, sample_sd_mps2 / step_mps2),
         })
     }
+}
+
+fn dead(axis: usize) -> Refusal {
+    let text = format!(
+        "axis {} has constant output: it is dead or saturated, or its noise is below one count; choose a smaller range or a \
+         higher resolution",
+        axis_name(axis)
+    );
+    Refusal::new(Reason::Axis { axis, clipped: false }, text)
 }

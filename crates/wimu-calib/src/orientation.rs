@@ -11,7 +11,6 @@ pub(crate) fn axis_name(axis: usize) -> &'static str {
 
 /// Which side of the sensor is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Face {
     /// The X axis points up.
     XUp,
@@ -69,7 +68,6 @@ impl fmt::Display for Face {
 
 /// One of 26 orientations: up is an axis, midway between two axes, or midway between three.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Orientation([i8; 3]);
 
 impl Orientation {
@@ -174,7 +172,6 @@ impl fmt::Display for Orientation {
 
 /// How to bring a sensor into an orientation, in words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instruction<'a> {
     orientation: Orientation,
     sides: &'a [&'a str; 6],

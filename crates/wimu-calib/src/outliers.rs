@@ -1,10 +1,13 @@
-//! Outlier rejection and weights of poses.
+//! Rejection of poses that are outliers: equations (42) and (42d).
 
-use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude, Without};
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use crate::magnitude::{Fit, Magnitude};
 use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
-use crate::weights::{FarOff, Rejected, Weighting};
-use crate::{Model, Pose, student};
+use crate::weights::Weighting;
+use crate::{Model, Reason, Refusal, student};
 
 /// Probability that a set without outliers loses a pose.
 const SIGNIFICANCE: f64 = 1e-3;
@@ -22,19 +25,16 @@ const REPEATS: f64 = 2.0;
 const EITHER: f64 = 0.01;
 /// Number of poses tested one by one: those whose removal reduces the cost most.
 const TRIED: usize = 3;
-/// Largest number of poses for the forward search. Of more poses, all distant ones are rejected.
-const MANY: usize = Rejected::MOST * 20;
-/// Largest number of fits in the rejection of distant poses.
-const FAR_OFF_FITS: usize = 4;
 /// Smallest number of degrees of freedom after rejection.
 const LEAST_DOF: usize = 3;
-/// At most one pose in this many is rejected.
+/// At most one pose in this many is rejected, and at most so many poses.
 const DOUBTED: usize = 5;
+const MOST: usize = 128;
 /// Tuning constant of the Cauchy cost, standard deviations: 95 % efficiency for normal residuals.
 const CAUCHY: f64 = 2.385;
 /// Standard deviation of normal deviates per median of their absolute values.
 const PER_MEDIAN: f64 = 1.4826;
-/// Relative error of a median of residuals.
+/// Relative change of the median of the residuals at which the robust fit has converged.
 const MEDIAN_ERROR: f64 = 0.01;
 /// Fraction of a limit below which the deviate of the linearised fit decides: its error is of second
 /// order.
@@ -46,17 +46,11 @@ const ROBUST_FITS: usize = 4;
 /// distance. The rest is fitted, and the most distant poses are added again one by one, the nearest
 /// first, until the next one is an outlier. Returns the fit; the rejected poses are in
 /// `problem.rejected`.
-///
-/// # Errors
-/// The worst pose, when more than every fifth of very many is an outlier.
-pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Result<Fit, usize> {
+pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Fit {
     let count = problem.poses.len();
-    if count > MANY {
-        return leave_far_off(problem, fit, model);
-    }
     let most = spare(problem);
     if most == 0 {
-        return Ok(fit);
+        return fit;
     }
     let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
     let theta = robust(problem, &fit);
@@ -67,56 +61,50 @@ pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Result<
         problem.weighting = Weighting::new(scatter * scatter, problem.mean_noise());
     }
     problem.rejected = farthest(problem, &theta, most);
-    let Some(mut inner) = problem.solve(&fit.theta, Without::Nothing) else {
-        problem.rejected = Rejected::default();
-        problem.weighting = Weighting::EQUAL;
-        return Ok(fit);
-    };
+    if let Some(found) = added_again(problem, &fit.at, noisy, unfitted_mps2, count) {
+        return found;
+    }
+    problem.rejected.clear();
+    problem.weighting = Weighting::EQUAL;
+    fit
+}
+
+/// Adds the rejected poses again until the next one is an outlier; `None` if none is.
+fn added_again(
+    problem: &mut Magnitude,
+    start: &Theta,
+    noisy: bool,
+    unfitted_mps2: f64,
+    count: usize,
+) -> Option<Fit> {
+    let mut inner = problem.solve(start)?;
     let mut linearised = false;
-    while let Some((place, pose, deviate)) = nearest(problem, &inner, unfitted_mps2) {
-        let dof = problem.visited().apart.saturating_sub(problem.free.len()).max(1);
+    while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
+        let dof = problem.independent().0.saturating_sub(problem.free.len()).max(1);
         let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
         if linearised && deviate > CLOSE * limit {
-            let Some(exact) = problem.solve(&inner.theta, Without::Nothing) else {
-                break;
-            };
-            (inner, linearised) = (exact, false);
+            (inner, linearised) = (problem.solve(&inner.at)?, false);
             continue;
         }
-        let known = || {
-            let knowledge = problem.knowledge(&inner, |_, _| f64::NAN);
-            knowledge.is_some_and(|knowledge| knowledge.suffices())
-        };
-        if deviate > limit && known() {
-            return Ok(inner);
+        if deviate > limit && problem.knowledge(&inner).is_some_and(|known| known.suffices()) {
+            return Some(inner);
         }
-        problem.rejected = problem.rejected.without(place);
-        if problem.change(&mut inner, pose, 1.0).is_none() {
-            break;
-        }
+        let pose = problem.rejected.remove(place);
+        problem.change(&mut inner, pose, 1.0)?;
         linearised = !noisy;
         if noisy {
-            match problem.solve(&inner.theta, Without::Nothing) {
-                Some(wider) => inner = wider,
-                None => break,
-            }
-            problem.weighting = weighting(problem, &inner);
+            inner = problem.solve(&inner.at)?;
+            problem.weighting = Weighting::from_residuals(problem, &inner);
         }
     }
-    problem.rejected = Rejected::default();
-    problem.weighting = Weighting::EQUAL;
-    Ok(fit)
+    None
 }
 
 /// Largest number of poses that may be rejected.
 fn spare(problem: &Magnitude) -> usize {
     let count = problem.poses.len();
-    problem
-        .visits
-        .apart(count)
-        .saturating_sub(problem.free.len() + LEAST_DOF)
-        .min(count / DOUBTED)
-        .min(Rejected::MOST)
+    let apart = problem.visits.apart(count);
+    apart.saturating_sub(problem.free.len() + LEAST_DOF).min(count / DOUBTED).min(MOST)
 }
 
 /// A pose that is an outlier with respect to the fit of all others.
@@ -130,43 +118,55 @@ pub(crate) struct Contradicted {
     pub spared: bool,
 }
 
+impl Contradicted {
+    pub fn refusal(&self) -> Refusal {
+        let Self { pose, or, off_mps2, .. } = *self;
+        let other = or.map_or(String::new(), |other| {
+            format!("; or pose {other} is the outlier, too few poses distinguish them")
+        });
+        let text = format!(
+            "pose {pose} (from 0) differs significantly, by {:.0} mm/s², from the fit of the others{other}: the sensor \
+             was moved, touched or saturated there; repeat that pose, or leave it out, and add two in other \
+             orientations",
+            off_mps2.abs() * 1e3
+        );
+        Refusal::new(Reason::Contradicted { index: pose, or }, text)
+    }
+}
+
 /// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
-/// found even if it has great leverage. Not used for very many poses, where a single one has little
-/// influence.
+/// found even if it has great leverage.
 pub(crate) fn contradicted(
     problem: &mut Magnitude,
     fit: &Fit,
     model: Model,
 ) -> Option<Contradicted> {
     let count = problem.poses.len();
-    let dof = problem.visited().apart.checked_sub(problem.free.len() + 1)?;
-    if count > MANY || dof == 0 {
+    let dof = problem.independent().0.checked_sub(problem.free.len() + 1)?;
+    if dof == 0 {
         return None;
     }
     let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
     let beyond = |chance: f64| student::two_sided(chance / count as f64, dof as f64);
     let limit = beyond(UNSPARED);
-    let tried = suspects(problem, fit).map(|pose| {
-        let pose = pose?;
+    let tried = suspects(problem, fit).into_iter().filter_map(|pose| {
         let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2, limit)?;
         Some((pose, off_mps2, deviate))
     });
-    let found = tried.into_iter().flatten();
-    let (pose, off_mps2, deviate) = found.clone().max_by(|a, b| a.2.total_cmp(&b.2))?;
-    let kept = problem.rejected;
-    let or = found.map(|(other, ..)| other).find(|&other| {
-        if other == pose || dof == 1 {
-            return other != pose;
+    let found: Vec<(usize, f64, f64)> = tried.collect();
+    let (pose, off_mps2, deviate) = found.iter().copied().max_by(|a, b| a.2.total_cmp(&b.2))?;
+    let or = found.iter().map(|found| found.0).filter(|other| *other != pose).find(|other| {
+        if dof == 1 {
+            return true;
         }
-        problem.rejected = kept.with(other);
+        problem.rejected.push(*other);
         let limit = student::two_sided(EITHER, (dof - 1) as f64);
-        problem
-            .solve(&fit.theta, Without::Nothing)
-            .and_then(|without| doubt(problem, &without, pose, unfitted_mps2, limit))
-            .is_none()
+        let without = problem.solve(&fit.at);
+        let still = without.and_then(|fit| doubt(problem, &fit, pose, unfitted_mps2, limit));
+        problem.rejected.pop();
+        still.is_none()
     });
-    problem.rejected = kept;
-    let spared = or.is_none() && kept.count() < spare(problem);
+    let spared = or.is_none() && problem.rejected.len() < spare(problem);
     (!spared || deviate > beyond(CONTRADICTION)).then_some(Contradicted {
         pose,
         or,
@@ -176,29 +176,18 @@ pub(crate) fn contradicted(
 }
 
 /// The poses whose removal reduces the cost of the linearised fit most.
-fn suspects(problem: &Magnitude, fit: &Fit) -> [Option<usize>; TRIED] {
-    let mut worst = [(0.0, None); TRIED];
-    let Some(at) = Evaluated::new(&fit.theta, problem.terms) else {
-        return [None; TRIED];
-    };
-    for (k, pose) in problem.poses.iter().enumerate() {
-        if problem.is_rejected(k, pose) {
-            continue;
-        }
-        let (residual, row) = problem.weighted_row(&at, pose);
-        let left = 1.0 - fit.inverse.form(&row);
-        keep_largest(&mut worst, (residual * residual / left.max(0.0), Some(k)));
-    }
-    worst.map(|(_, pose)| pose)
-}
-
-/// Inserts `candidate` into a list in descending order, from which the smallest drops out.
-fn keep_largest<T>(largest: &mut [(f64, T)], mut candidate: (f64, T)) {
-    for entry in largest {
-        if candidate.0 > entry.0 {
-            core::mem::swap(entry, &mut candidate);
-        }
-    }
+fn suspects(problem: &Magnitude, fit: &Fit) -> Vec<usize> {
+    let mut gains: Vec<(f64, usize)> = problem
+        .kept()
+        .filter_map(|k| {
+            let (residual, variance) = problem.predicted(fit, k)?;
+            let weight = problem.weighting.of(&problem.poses[k]);
+            let left = 1.0 - weight * variance;
+            Some((weight * residual * residual / left.max(0.0), k))
+        })
+        .collect();
+    gains.sort_by(|a, b| b.0.total_cmp(&a.0));
+    gains.into_iter().filter(|(gain, _)| *gain > 0.0).take(TRIED).map(|(_, k)| k).collect()
 }
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
@@ -210,8 +199,7 @@ fn doubt(
     unfitted_mps2: f64,
     limit: f64,
 ) -> Option<(f64, f64)> {
-    let inside = problem.poses.len() - problem.rejected.count();
-    let dof = inside.checked_sub(problem.free.len() + 1).filter(|dof| *dof > 0)?;
+    let dof = problem.count().checked_sub(problem.free.len() + 1).filter(|dof| *dof > 0)?;
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
     let predicted = |without: &Fit| {
         let (residual, growth) = problem.predicted(without, pose)?;
@@ -226,7 +214,7 @@ fn doubt(
     if growth < own && deviate < CLOSE * limit {
         return None;
     }
-    let without = problem.solve(&without.theta, Without::Pose(pose))?;
+    let without = problem.solve_without(&without.at, pose)?;
     let (residual, deviate, _) = predicted(&without)?;
     (deviate > limit).then_some((residual, deviate))
 }
@@ -241,51 +229,10 @@ fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
         }
 }
 
-/// Rejects all distant poses: equation (42c).
-fn leave_far_off(problem: &mut Magnitude, fit: Fit, model: Model) -> Result<Fit, usize> {
-    let count = problem.poses.len();
-    let least = unfitted(problem.gravity_mps2, model);
-    let mut fit = fit;
-    let mut theta = robust(problem, &fit);
-    for _ in 0..FAR_OFF_FITS {
-        let far = FarOff {
-            theta,
-            sd_mps2: libm::hypot(PER_MEDIAN * median_residual(problem, &theta), least),
-            deviations: student::normal_two_sided(SIGNIFICANCE / count as f64),
-            rejects: FarOff::rejects,
-        };
-        let (mut found, mut worst) = (0, (0.0, 0));
-        problem.residuals(&theta, |k, residual| {
-            if far.has(residual, &problem.poses[k]) {
-                found += 1;
-                if residual.abs() > worst.0 {
-                    worst = (residual.abs(), k);
-                }
-            }
-        });
-        if DOUBTED * found > count {
-            return Err(worst.1);
-        }
-        let named = farthest(problem, &theta, found.min(Rejected::MOST));
-        let same = problem.rejected.count() == found && problem.far.is_some();
-        problem.far = Some(far);
-        problem.rejected = Rejected { unnamed: found - named.count, ..named };
-        match problem.solve(&fit.theta, Without::Nothing) {
-            Some(without) => fit = without,
-            None => return Err(worst.1),
-        }
-        if same {
-            break;
-        }
-        theta = fit.theta;
-    }
-    Ok(fit)
-}
-
 /// Robust fit, starting from the least-squares fit.
 fn robust(problem: &Magnitude, fit: &Fit) -> Theta {
-    let mut theta = fit.theta;
-    let count = problem.poses.len();
+    let mut theta = fit.at;
+    let count = problem.poses.len() as f64;
     let mut last = 0.0;
     for _ in 0..ROBUST_FITS {
         let median = median_residual(problem, &theta);
@@ -293,113 +240,41 @@ fn robust(problem: &Magnitude, fit: &Fit) -> Theta {
             break;
         }
         last = median;
-        let small_sample = libm::sqrt(count as f64 / (count - problem.free.len()) as f64);
+        let small_sample = libm::sqrt(count / (count - problem.free.len() as f64));
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
         match problem.solve_robust(&theta, scale) {
-            Some(better) => theta = better.theta,
+            Some(better) => theta = better.at,
             None => break,
         }
     }
     theta
 }
 
-/// Median of |r| to 1 %, by bisection: there is no memory to sort the residuals of very many poses.
+/// Median of |r|.
 fn median_residual(problem: &Magnitude, theta: &Theta) -> f64 {
-    let mut sizes = heapless::Vec::<f64, MANY>::new();
-    let mut largest = 0.0_f64;
-    problem.residuals(theta, |_, residual| {
-        largest = largest.max(residual.abs());
-        let _ = sizes.push(residual.abs());
-    });
-    let below = |middle: f64| {
-        let mut count = 0;
-        let mut take = |size: f64| count += usize::from(size <= middle);
-        if problem.poses.len() > MANY {
-            problem.residuals(theta, |_, residual| take(residual.abs()));
-        } else {
-            sizes.iter().copied().for_each(take);
-        }
-        count
-    };
-    let (mut low, mut high) = (0.0, largest);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if 2 * below(middle) > problem.poses.len() {
-            high = middle;
-        } else {
-            low = middle;
-        }
-        if high - low <= MEDIAN_ERROR * high {
-            break;
-        }
-    }
-    high
+    let mut sizes: Vec<f64> = problem.residuals(theta).into_iter().map(f64::abs).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The `most` poses with the largest residuals.
-fn farthest(problem: &Magnitude, theta: &Theta, most: usize) -> Rejected {
-    let mut worst = [(0.0, 0); Rejected::MOST];
-    problem.residuals(theta, |k, residual| {
-        let pose = problem.poses.get(k);
-        let weight = pose.map_or(1.0, |pose| problem.weighting.of(pose));
-        keep_largest(
-            worst.get_mut(..most).unwrap_or_default(),
-            (residual.abs() * libm::sqrt(weight), k),
-        );
-    });
-    worst
-        .iter()
-        .take(most)
-        .filter(|(size, _)| *size > 0.0)
-        .fold(Rejected::default(), |all, &(_, pose)| all.with(pose))
+fn farthest(problem: &Magnitude, theta: &Theta, most: usize) -> Vec<usize> {
+    let sizes = problem.residuals(theta).into_iter().zip(problem.poses);
+    let sizes = sizes.map(|(r, pose)| r.abs() * libm::sqrt(problem.weighting.of(pose)));
+    let mut worst: Vec<(f64, usize)> = sizes.zip(0..).filter(|(size, _)| *size > 0.0).collect();
+    worst.sort_by(|a, b| b.0.total_cmp(&a.0));
+    worst.into_iter().take(most).map(|(_, k)| k).collect()
 }
 
-/// The rejected pose that the fit predicts best: its index among the rejected poses and
-/// among all, and its residual in standard deviations of the prediction.
-fn nearest(problem: &Magnitude, fit: &Fit, unfitted_mps2: f64) -> Option<(usize, usize, f64)> {
-    let inside = problem.poses.len() - problem.rejected.as_slice().len();
-    let sd = fit.sd(inside - problem.free.len());
-    let mut nearest: Option<(usize, usize, f64)> = None;
-    for (place, &pose) in problem.rejected.as_slice().iter().enumerate() {
+/// The rejected pose that the fit predicts best: its index among the rejected poses, and its residual
+/// in standard deviations of the prediction.
+fn nearest(problem: &Magnitude, fit: &Fit, unfitted_mps2: f64) -> Option<(usize, f64)> {
+    let dof = problem.count().saturating_sub(problem.free.len()).max(1) as f64;
+    let deviates = problem.rejected.iter().enumerate().filter_map(|(place, &pose)| {
         let (residual, growth) = problem.predicted(fit, pose)?;
         let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
-        let variance = sd * sd * (own + growth) + unfitted_mps2 * unfitted_mps2;
-        let deviate = residual.abs() / libm::sqrt(variance);
-        if nearest.is_none_or(|(.., least)| deviate < least) {
-            nearest = Some((place, pose, deviate));
-        }
-    }
-    nearest
-}
-
-/// Weights from the residuals: the variance σ₀² between poses is chosen such that the residuals
-/// agree with it and with the noise of the poses. Equation (40).
-pub(crate) fn weighting(problem: &Magnitude, fit: &Fit) -> Weighting {
-    let kept = |k: usize, pose: &Pose| !problem.is_rejected(k, pose);
-    let (mut count, mut mean_noise) = (0.0, 0.0);
-    let poses = problem.poses.iter().enumerate();
-    for (_, pose) in poses.filter(|(k, pose)| kept(*k, pose)) {
-        count += 1.0;
-        mean_noise += pose.mean_free_noise();
-    }
-    mean_noise /= count;
-    let dof = count - problem.free.len() as f64;
-    let mut common = 0.0;
-    // Newton's method from below on a convex decreasing function: it does not overshoot.
-    for _ in 0..30 {
-        let (mut excess, mut slope) = (-dof, 0.0);
-        problem.residuals(&fit.theta, |k, residual| {
-            if kept(k, &problem.poses[k]) {
-                let variance = common + problem.poses[k].mean_free_noise();
-                let share = residual * residual / variance;
-                excess += share;
-                slope += share / variance;
-            }
-        });
-        if excess <= 1e-6 * dof || slope <= 0.0 {
-            break;
-        }
-        common += excess / slope;
-    }
-    Weighting::new(common, mean_noise)
+        let variance = fit.cost / dof * (own + growth) + unfitted_mps2 * unfitted_mps2;
+        Some((place, residual.abs() / libm::sqrt(variance)))
+    });
+    deviates.min_by(|a, b| a.1.total_cmp(&b.1))
 }

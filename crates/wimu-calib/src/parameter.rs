@@ -4,7 +4,6 @@ use core::fmt;
 
 /// One of the 12 parameters of y = b + A f.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Parameter {
     /// b_x, m/s².
     BiasX,
@@ -83,7 +82,6 @@ impl fmt::Display for Parameter {
 
 /// A set of the 12 parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Parameters(u16);
 
 crate::set::set!(Parameters(u16) of Parameter);

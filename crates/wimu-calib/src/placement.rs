@@ -7,7 +7,6 @@ pub(crate) const MOST_PLACEMENT_RAD: f64 = 0.0873;
 
 /// Placement error of the sensor in known orientations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Placement {
     sd_rad: f64,
 }
@@ -42,7 +41,6 @@ impl Default for Placement {
 
 /// A placement error outside 0..=0.0873 rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PlacementError {
     /// The given standard deviation, rad.
     pub sd_rad: f64,

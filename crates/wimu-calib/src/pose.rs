@@ -2,7 +2,6 @@
 
 /// One static pose: the output of the sensor while it was held still.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Pose {
     /// Mean output y, m/s², sensor axes.
     pub mean_mps2: [f64; 3],

@@ -1,17 +1,18 @@
 //! Calibration against a reference: two streams of the same motion.
 
 mod ends;
-mod refusal;
 mod row;
 mod sums;
+
+use alloc::format;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
 use crate::blocks::Blocks;
-use crate::{UnitHint, input, student};
+use crate::orientation::axis_name;
+use crate::{Reason, Refusal, UnitHint, input, student};
 use ends::Ends;
 use nalgebra::Vector3;
-pub use refusal::TransferRefusal;
 use row::{Fitting, How};
 use sums::{Pair, Recent, Sums};
 
@@ -34,7 +35,6 @@ const SEEN_DEVIATIONS: f64 = 4.0;
 /// A wrong ratio changes the scale factor by at most the fraction of noise in the variance of the
 /// motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoiseRatio(f64);
 
 impl NoiseRatio {
@@ -63,7 +63,6 @@ impl Default for NoiseRatio {
 
 /// Source of the noise ratio of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NoiseFrom {
     /// The given ratio.
     Ratio,
@@ -78,7 +77,6 @@ pub enum NoiseFrom {
 /// Regression of an axis of the output on the axes of the reference: y = b + A x, where A is the
 /// row of this axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Line {
     /// b, m/s².
     pub bias_mps2: f64,
@@ -110,7 +108,6 @@ impl Line {
 
 /// One axis of a stream against that of the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisTransfer {
     /// Mean of the reference, m/s², at which the offset holds.
     pub at_mps2: f64,
@@ -132,7 +129,6 @@ pub struct AxisTransfer {
 
 /// Result of a comparison with the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Transfer {
     /// X, Y, Z.
     pub axes: [AxisTransfer; 3],
@@ -257,10 +253,14 @@ impl ReferenceTransfer {
     /// The result for the pairs so far.
     ///
     /// # Errors
-    /// [`TransferRefusal`].
-    pub fn result(&self) -> Result<Transfer, TransferRefusal> {
+    /// [`Refusal`].
+    pub fn result(&self) -> Result<Transfer, Refusal> {
         let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
-            return Err(TransferRefusal::TooFewSamples { have: self.samples });
+            let (have, need) = (self.samples as usize, FEWEST as usize);
+            let text = format!(
+                "{have} samples are on both streams, {need} are needed: record both at the same time"
+            );
+            return Err(Refusal::new(Reason::TooFew { have, need }, text));
         };
         let all = self.all();
         let central = all.central();
@@ -270,11 +270,11 @@ impl ReferenceTransfer {
             // Motion increases it by any factor that does not indicate another unit.
             let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
-                return Err(TransferRefusal::UnexpectedMagnitude {
-                    reference: side == 0,
+                return Err(Refusal::unit(
+                    ["rms of the reference", "rms of the output"][side],
                     rms_mps2,
                     hint,
-                });
+                ));
             }
         }
         let axis = |axis| self.axis(axis, origin, &all);
@@ -286,12 +286,7 @@ impl ReferenceTransfer {
         })
     }
 
-    fn axis(
-        &self,
-        axis: usize,
-        origins: Pair,
-        all: &Sums,
-    ) -> Result<AxisTransfer, TransferRefusal> {
+    fn axis(&self, axis: usize, origins: Pair, all: &Sums) -> Result<AxisTransfer, Refusal> {
         let origin = origins.map(|origin| origin[axis]);
         let blocks = self.blocks.all().iter();
         let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
@@ -325,32 +320,35 @@ impl ReferenceTransfer {
             return Ok(transfer);
         }
         if let Some(end) = self.ends[axis].stopped(&all.axis(axis), delta) {
-            return Err(TransferRefusal::Saturated {
-                reference: end.side == 0,
-                axis,
-                at_mps2: origin[end.side] + end.at,
-                samples: end.samples as u64,
-            });
+            let text = format!(
+                "axis {} of the {} stops at {:.3} m/s² in {} samples while the other goes on: it is saturated; choose a \
+                 larger range, or move it less",
+                axis_name(axis),
+                ["reference", "output"][end.side],
+                origin[end.side] + end.at,
+                end.samples
+            );
+            return Err(Refusal::new(Reason::Axis { axis, clipped: true }, text));
         }
         let correlation = moments.xy / libm::sqrt(moments.xx * moments.yy);
         if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
-            return Err(TransferRefusal::NotTheSameMotion { axis, correlation });
+            return Err(another_motion(axis, correlation));
         }
         let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
         let how = match self.ratio {
             Some(_) => How::Deming(delta),
             None => fitting.how(all),
         };
-        let refusal = TransferRefusal::OneMotionOnly { axis };
-        let row = fitting.find(all, how).ok_or(refusal)?;
+        let refusal = || one_motion_only(axis);
+        let row = fitting.find(all, how).ok_or_else(refusal)?;
         let blocks = blocks.map(|block| {
             let left = all.plus(block, -1.0);
             let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
             (*block, fitting.find(&left, how).filter(|_| moves))
         });
-        let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or(refusal)?;
+        let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or_else(refusal)?;
         let mut covariance = scatter;
-        fitting.add_unseen(&mut covariance, all, how, self.parallel).ok_or(refusal)?;
+        fitting.add_unseen(&mut covariance, all, how, self.parallel).ok_or_else(refusal)?;
         let sees = [1, 2, 3].map(|i: usize| row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];
@@ -381,4 +379,30 @@ impl ReferenceTransfer {
         let blocks = self.blocks.all().iter();
         blocks.fold(Sums::default(), |sums, block| sums.plus(block, 1.0))
     }
+}
+
+fn one_motion_only(axis: usize) -> Refusal {
+    let text = format!(
+        "all motion of axis {} is in one short part of the recording, which decides alone: move it more than once, or hold \
+         it in several orientations",
+        axis_name(axis)
+    );
+    Refusal::new(Reason::NotObservable, text)
+}
+
+/// The refusal of streams with this correlation coefficient.
+fn another_motion(axis: usize, correlation: f64) -> Refusal {
+    let name = axis_name(axis);
+    if correlation < -LEAST_CORRELATION {
+        let text = format!(
+            "axis {name} of one stream is that of the other negated (correlated by {correlation:.2}): turn its sign in one \
+             of them, or check how the sensors are mounted"
+        );
+        return Refusal::new(Reason::Axes, text);
+    }
+    let text = format!(
+        "axis {name} of the two streams is correlated by {correlation:.2} only: they show different motions; check that \
+         samples are paired in time, and axes and their signs"
+    );
+    Refusal::new(Reason::PoorFit { rms: correlation, index: axis }, text)
 }

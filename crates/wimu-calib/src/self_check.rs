@@ -8,7 +8,6 @@ use crate::{Covariance, Gravity, Parameter, Pose};
 
 /// Standard deviations of the changes of a sensor since its calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ageing {
     /// Turn-on bias repeatability, m/s² per axis.
     pub turn_on_mps2: f64,
@@ -28,7 +27,6 @@ impl Default for Ageing {
 
 /// Uncertainty of the temperature dependence of the bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Slopes {
     /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
     sd: [f64; 3],
@@ -57,7 +55,6 @@ impl Slopes {
 
 /// A monotonic temperature change, within which the slope error accumulates.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Warming {
     began_c: f64,
     last_c: f64,
@@ -82,7 +79,6 @@ impl Warming {
 
 /// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Check {
     /// Residual |f| − g before the update, m/s².
     pub residual_mps2: f64,
@@ -120,7 +116,6 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 /// # Ok::<(), wimu_model::ModelError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SelfCheck {
     stored: ErrorModel,
     theta: Theta,

@@ -9,7 +9,6 @@ const SAME_POSE_MPS2: f64 = 0.34;
 
 /// State of a [`Session`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Phase {
     /// The sensor moves: put it down as [`Session::next`] recommends, or in any other orientation,
     /// and hold it still.

@@ -1,5 +1,7 @@
 //! Calibration from six known orientations: each side of the sensor up once.
 
+use alloc::format;
+
 use wimu_model::{ErrorModel, ErrorTerms};
 
 use crate::estimate::{Misplaced, Residuals};
@@ -7,10 +9,9 @@ use crate::estimate::{Misplaced, Residuals};
 use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
 use crate::terms;
-use crate::weights::Rejected;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Refusal, design,
-    force, input, student,
+    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Reason, Refusal,
+    design, force, input, student,
 };
 
 /// Degrees of freedom of the placement error that six sides show.
@@ -59,8 +60,7 @@ pub fn six_position(
 /// [`six_position`] for poses with a record of which side was up.
 ///
 /// # Errors
-/// [`Refusal`]; [`Refusal::Mirrored`], [`Refusal::Inverted`], [`Refusal::AxesSwapped`] and
-/// [`Refusal::NotUpright`] when the readings of a pose contradict the recorded side.
+/// [`Refusal`], also when the readings of a pose contradict the recorded side.
 pub fn six_position_labelled(
     poses: &[(Face, Pose)],
     gravity: Gravity,
@@ -74,13 +74,22 @@ pub fn six_position_labelled(
 
 /// Refuses recorded sides that contradict the readings.
 fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
-    let Some(&(face, first)) = poses.iter().find(|(face, pose)| Face::of(pose) != Some(*face))
-    else {
+    let Some(index) = poses.iter().position(|(face, pose)| Face::of(pose) != Some(*face)) else {
         return Ok(());
     };
+    let (face, first) = poses[index];
     let disagreement = match Face::of(&first) {
-        Some(reads) => Refusal::AxesSwapped { face, reads },
-        None => Refusal::NotUpright { face },
+        Some(reads) => Refusal::new(
+            Reason::Axes,
+            format!(
+                "a pose recorded as {face} reads {reads}: check which side was up, and that the driver keeps the axes in \
+                 order"
+            ),
+        ),
+        None => Refusal::new(
+            Reason::Placement { index, steps: 6 },
+            format!("a pose recorded as {face} has no axis within 20° of the vertical: repeat it"),
+        ),
     };
     // Output for each axis pointing up: a signed permutation, if all poses agree.
     let mut says = [None; 3];
@@ -101,10 +110,17 @@ fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
     }
     let [[a, b, c], [d, e, f], [g, h, i]] = permutation;
     if (a, e, i) == (-1.0, -1.0, -1.0) {
-        return Err(Refusal::Inverted);
+        let text = "every axis recorded as up reads down: the output is minus the specific force; negate it, or record \
+                    the opposite side";
+        return Err(Refusal::new(Reason::Axes, text));
     }
     let determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
-    Err(if determinant < 0.0 { Refusal::Mirrored } else { disagreement })
+    if determinant >= 0.0 {
+        return Err(disagreement);
+    }
+    let text = "the recorded orientations describe a left-handed sensor: the sides of one axis were exchanged, or the \
+                driver negates or swaps an axis";
+    Err(Refusal::new(Reason::Axes, text))
 }
 
 /// Weighted sums of the poses of one side.
@@ -198,19 +214,27 @@ fn estimate<'a>(
         sides[side].visit(pose.mean_mps2[side / 2]);
         counts[side] += 1;
     }
-    for (face, count) in Face::ALL.into_iter().zip(counts) {
-        if count == 0 {
-            return Err(Refusal::PoseMissing { face });
-        }
+    let have = counts.iter().filter(|count| **count > 0).count();
+    if let Some(missing) = counts.iter().position(|count| *count == 0) {
+        let face = Face::ALL[missing];
+        let text = format!(
+            "no pose has {face}: put the sensor down with {face}, within 20°, and hold it still"
+        );
+        return Err(Refusal::new(Reason::TooFew { have, need: 6 }, text));
     }
     let (bias, a) = solve(&sides, g);
     let model = ErrorModel::new(ErrorTerms { bias_mps2: bias, matrix: a, ..ErrorTerms::default() })
-        .map_err(Refusal::OutOfBounds)?;
+        .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     let theta = terms::theta_of(&model);
     let shown = pairs_show(&sides, &bias, &a, g);
     let placement_rad = libm::sqrt(shown.iter().sum::<f64>() / PLACEMENT_DOF as f64);
     if placement_rad > MOST_PLACEMENT_RAD {
-        return Err(Refusal::NotSquared { placement_rad });
+        let text = format!(
+            "the placement error of the six sides is {:.1}°: use a box with square corners, or multi-position, which \
+             needs no known orientation",
+            placement_rad.to_degrees()
+        );
+        return Err(Refusal::new(Reason::Placement { index: 0, steps: 6 }, text));
     }
     let Squareness { placement_sd_rad, tilts, contradicted, misplaced } =
         Squareness::of(&sides, &bias, shown, placement, g);
@@ -232,10 +256,8 @@ fn estimate<'a>(
 
     let all = poses.clone().map(|(_, pose)| pose);
     let residuals = Residuals::of(&theta, all, g);
-    let rejected = (0..)
-        .zip(poses)
-        .filter(|(_, (face, _))| face.is_none())
-        .fold(Rejected::default(), |rejected, (k, _)| rejected.with(k));
+    let rejected =
+        (0..).zip(poses).filter(|(_, (face, _))| face.is_none()).map(|(k, _)| k).collect();
     let fitted: usize = counts.iter().sum();
     let loo_rms_mps2 = counts.iter().all(|&count| count > 1).then(|| {
         let squares: f64 = used

@@ -5,14 +5,10 @@ use core::fmt;
 use wimu_model::ErrorModel;
 
 use crate::Parameter;
-use crate::symmetric::MOST;
 
 /// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
 pub(crate) type Theta = [f64; Slot::COUNT];
-
-/// The fitted parameters.
-pub(crate) type Slots = heapless::Vec<Slot, MOST>;
 
 /// An index into [`Theta`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,7 +124,6 @@ pub(crate) fn triple(theta: &Theta, first: usize) -> [f64; 3] {
 /// A term that [`multi_position_with`](crate::multi_position_with) can fit in addition to a
 /// [`Model`](crate::Model); three parameters each, one per axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Term {
     /// Linear drift of the bias over the session.
     Drift,
@@ -159,7 +154,6 @@ impl fmt::Display for Term {
 
 /// A set of terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Terms(u8);
 
 crate::set::set!(Terms(u8) of Term);

@@ -1,5 +1,6 @@
 //! Calibration from a rotation about a horizontal axis in three or four equal steps [LW].
 
+use alloc::format;
 use core::f64::consts::{PI, TAU};
 
 use wimu_model::{ErrorModel, ErrorTerms};
@@ -9,8 +10,8 @@ use crate::estimate::Residuals;
 use crate::terms::{self, PERFECT, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::{
-    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Refusal, design,
-    force, input, pose, student,
+    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Reason, Refusal,
+    design, force, input, pose, student,
 };
 
 /// Component of an axis along another one, 1 σ: the cross-axis sensitivity of typical datasheets.
@@ -194,21 +195,29 @@ fn turns<const N: usize>(
     input::check(poses.iter(), gravity)?;
     let (whole, rest) = poses.as_chunks::<N>();
     if whole.is_empty() || !rest.is_empty() {
-        return Err(Refusal::NotATurn { pose: N * whole.len(), steps: N });
+        return Err(not_a_turn::<N>(N * whole.len()));
     }
     let g = gravity.mps2();
     let mut axes: [Option<Axis>; 3] = [None; 3];
     let mut checks = 0;
     for (number, turn) in whole.iter().enumerate() {
         let pose = N * number;
-        let [a, b, still] = plane::<N>(turn, g).ok_or(Refusal::NotATurn { pose, steps: N })?;
+        let [a, b, still] = plane::<N>(turn, g).ok_or_else(|| not_a_turn::<N>(pose))?;
         let off_rad = step_error::<N>(turn, [a, b], g);
         if off_rad > MOST_STEP_ERROR {
-            return Err(Refusal::StepsUnequal { pose, steps: N, off_rad });
+            return Err(refusal::<N>(
+                pose,
+                &format!(
+                    "the steps are at least {:.0}° rms from equal steps of {}°; turn the sensor by a square or a protractor, or \
+                 use multi-position, which needs no known orientation",
+                    off_rad.to_degrees(),
+                    360 / N
+                ),
+            ));
         }
         let lean = Harmonic::along(turn, still).size() / g;
         if lean > MOST_LEAN {
-            return Err(Refusal::TurnTilted { pose, steps: N, off_rad: lean });
+            return Err(tilted::<N>(pose, lean));
         }
         // Unequal steps distort the two axes beyond a typical sensor; with three steps nothing else
         // shows them.
@@ -256,7 +265,7 @@ fn turns<const N: usize>(
         };
         let off_rad = off.abs();
         if off_rad > most {
-            return Err(Refusal::TurnTilted { pose: N * number, steps: N, off_rad });
+            return Err(tilted::<N>(N * number, off_rad));
         }
         let doubtful = match axes[still] {
             Some(_) => BEYOND_CHANCE * placement.sd_rad(),
@@ -301,7 +310,8 @@ fn turns<const N: usize>(
         .filter(|(_, found)| found.is_some())
         .flat_map(|(axis, _)| [Parameter::ALL[axis], Parameter::ALL[3 + 4 * axis]])
         .collect();
-    let model = ErrorModel::new(error_terms).map_err(Refusal::OutOfBounds)?;
+    let model = ErrorModel::new(error_terms)
+        .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     covariance.add_gravity(&theta, gravity);
     covariance.take_for_granted(Parameters::ALL.without(fitted));
     let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
@@ -317,6 +327,30 @@ fn turns<const N: usize>(
         temperature_c: pose::mean_temperature(poses.iter()),
         ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
+}
+
+/// The refusal of the rotation that begins with pose `index`.
+fn refusal<const N: usize>(index: usize, why: &str) -> Refusal {
+    let text = format!("poses {index} to {} (from 0): {why}", index + N - 1);
+    Refusal::new(Reason::Placement { index, steps: N }, text)
+}
+
+fn not_a_turn<const N: usize>(index: usize) -> Refusal {
+    let why = format!(
+        "they are not {N} steps of {}° about a horizontal axis: rotate about one axis of the sensor, in one direction, \
+         and hold it still at each step",
+        360 / N
+    );
+    refusal::<N>(index, &why)
+}
+
+fn tilted<const N: usize>(index: usize, off_rad: f64) -> Refusal {
+    let why = format!(
+        "according to the reading of the axis of rotation, it is {:.0}° from level or from the axis of the sensor; square \
+         the sensor and level the axis, or use multi-position, which needs neither",
+        off_rad.to_degrees()
+    );
+    refusal::<N>(index, &why)
 }
 
 /// The two axes in the plane of rotation and the axis of rotation; `None` if the rotation is not

@@ -1,16 +1,14 @@
 //! Effect of parameters that a smaller model leaves out: equation (42a).
 
-use nalgebra::Vector3;
+use alloc::vec::Vec;
+
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::force::Evaluated;
-use crate::least_squares::{Fit, Magnitude};
-use crate::shared::Shared;
-use crate::symmetric::{self, Symmetric, Vector, dot};
-use crate::terms::{Slot, USUAL_BIAS_MPS2};
+use crate::magnitude::{Fit, Magnitude, Shared, not_observable};
+use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
 use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
 
-/// Largest number of parameters left out: three scale factors and three misalignments.
-const MOST: usize = 6;
 /// A parameter is undetermined if its standard deviation exceeds this fraction of the prior: with
 /// the residuals taken into account, and from the prior alone.
 const LEAST_KNOWN: f64 = 0.5;
@@ -20,7 +18,7 @@ const LEAST_KNOWN_BEFORE: f64 = 1.0;
 /// show them, they bias the fitted parameters.
 pub(crate) struct Unfitted {
     /// Their contribution to the covariance of the fitted parameters.
-    pub covariance: Symmetric,
+    pub covariance: DMatrix<f64>,
     /// Standard deviation of |f| − g in the worst of 26 orientations from noise and these
     /// parameters, m/s².
     pub worst_sd_mps2: f64,
@@ -43,80 +41,59 @@ impl Unfitted {
         seen: bool,
     ) -> Option<Self> {
         let left_out = Model::Full9.fitted().without(what.model.fitted());
-        let mut slots = [None; MOST];
-        for (place, parameter) in slots.iter_mut().zip(left_out.iter()) {
-            *place = Some(Slot::of(parameter));
-        }
-        if left_out.is_empty() {
+        let slots: Vec<Slot> = left_out.iter().map(Slot::of).collect();
+        if slots.is_empty() {
             return None;
         }
-        let n = problem.free.len();
-        // Prior variances.
-        let usual: [f64; MOST] = slots.map(|slot| {
-            let sd = slot.and_then(Slot::usual_sd).unwrap_or(0.0);
-            sd * sd
-        });
-        let at = Evaluated::new(&fit.theta, problem.terms)?;
-        let pick = |all: &crate::terms::Theta| {
-            slots.map(|slot: Option<Slot>| slot.map_or(0.0, |slot| all[slot.index()]))
-        };
-        let mut both = [[0.0; symmetric::MOST]; MOST];
-        let mut own = Symmetric::zero(MOST);
-        for (row, all, weight) in problem.rows(&at) {
-            let others = pick(&all);
-            for (both, other) in both.iter_mut().zip(others) {
-                symmetric::add(both, weight * other, &row);
-            }
-            own.add_outer(&others, weight);
+        let usual_sd = slots.iter().map(|slot| slot.usual_sd().unwrap_or(0.0));
+        let usual_sd = DVector::from_iterator(slots.len(), usual_sd);
+        let at = Evaluated::new(&fit.at)?;
+        let pick = |all: &Theta| slots.iter().map(|slot| all[slot.index()]).collect::<Vec<_>>();
+        // Products of the derivatives by the parameters left out, in units of their priors.
+        let (n, m) = (problem.free.len(), slots.len());
+        let (mut both, mut own) = (DMatrix::zeros(n, m), DMatrix::zeros(m, m));
+        for k in problem.kept() {
+            let pose = &problem.poses[k];
+            let all = at.derivatives(&at.pose(pose, &problem.conditions));
+            let others = DVector::from_vec(pick(&all)).component_mul(&usual_sd);
+            let weight = problem.weighting.of(pose);
+            both.ger(weight, &problem.fitted(&all), &others, 1.0);
+            own.ger(weight, &others, &others, 1.0);
         }
-        // Change of the fitted parameters per unit of a parameter left out, and what remains of it
-        // in the residuals.
-        let gain: [Vector; MOST] = core::array::from_fn(|j| fit.inverse.times(&both[j]));
-        let left = |i: usize, j: usize| own.at(i, j) - dot(&both[i], &gain[j]);
-        let (variance, dof) = (shared.variance, shared.dof);
-        let own_variance = |i: usize| variance * shared.spread.at(i, i);
-        let (mut trace, mut square) = (0.0, 0.0);
-        for i in 0..MOST {
-            trace += usual[i] * left(i, i).max(0.0);
-            for j in 0..MOST {
-                square += usual[i] * left(i, j) * usual[j] * left(j, i);
-            }
-        }
+        // Change of the fitted parameters per prior deviation of a parameter left out, and what remains of it in the
+        // residuals.
+        let gain = &fit.inverse * &both;
+        let left = own - both.tr_mul(&gain);
+        let (trace, square) = (left.trace(), left.norm_squared());
         // Variance factor: the prior, or less if all residuals came from these parameters and are
         // smaller.
         let share = if seen && trace > fit.cost { fit.cost / trace } else { 1.0 };
         let share_dof =
             if share < 1.0 && square > 0.0 { trace * trace / square } else { f64::INFINITY };
-        let added = |i: usize| {
-            let squares = (0..MOST).map(|j| gain[j][i] * gain[j][i] * usual[j]);
-            share * squares.sum::<f64>()
-        };
-        let ratio = |i: usize| added(i) / own_variance(i);
-        let most = (0..n).map(ratio).fold(0.0, f64::max);
+        let added = &gain * gain.transpose();
+        let own_variance = |i: usize| shared.variance * shared.spread[(i, i)];
+        let most = (0..n).map(|i| share * added[(i, i)] / own_variance(i)).fold(0.0, f64::max);
         // An effect below that of the residual variance is included there already.
-        let weight = match seen {
-            true if most > 1.0 => 1.0 - 1.0 / most,
-            true => 0.0,
-            false => 1.0,
+        let weight = if !seen {
+            1.0
+        } else if most > 1.0 {
+            1.0 - 1.0 / most
+        } else {
+            0.0
         };
-        let least_known = if seen { LEAST_KNOWN } else { LEAST_KNOWN_BEFORE };
-        let counted = weight * share;
-
         let mut found = Self {
-            covariance: Symmetric::from_fn(n, |r, c| {
-                let products = (0..MOST).map(|j| gain[j][r] * gain[j][c] * usual[j]);
-                counted * products.sum::<f64>()
-            }),
+            covariance: added * (weight * share),
             worst_sd_mps2: 0.0,
-            dof,
+            dof: shared.dof,
             parameters: Parameters::default(),
             terms: Terms::NONE,
             poorest: Orientation::ALL[0],
         };
+        let least_known = if seen { LEAST_KNOWN } else { LEAST_KNOWN_BEFORE };
         for (i, slot) in problem.free.iter().enumerate() {
-            let (noise, more) = (own_variance(i), found.covariance.at(i, i));
-            let freedom =
-                (noise + more) * (noise + more) / (noise * noise / dof + more * more / share_dof);
+            let (noise, more) = (own_variance(i), found.covariance[(i, i)]);
+            let freedom = (noise + more) * (noise + more)
+                / (noise * noise / shared.dof + more * more / share_dof);
             if freedom.is_finite() {
                 found.dof = found.dof.min(freedom.max(1.0));
             }
@@ -129,21 +106,13 @@ impl Unfitted {
         let mut worst = 0.0;
         for orientation in Orientation::ALL {
             let up = orientation.up().map(|c| c * problem.gravity_mps2);
-            let applied = at.at(Vector3::from(up));
-            let row = problem.derivatives(&at, &applied);
-            let others = pick(&at.derivatives(&applied));
-            let noise = variance * shared.spread.form(&row);
-            let more: f64 = (0..MOST)
-                .map(|j| {
-                    let passed = dot(&row, &gain[j]);
-                    let off = others[j] - passed;
-                    off * off * usual[j]
-                })
-                .sum();
-            let all = noise + share * more;
-            if all > worst {
-                worst = all;
-                found.poorest = orientation;
+            let all = at.derivatives(&at.at(Vector3::from(up)));
+            let row = problem.fitted(&all);
+            let off = DVector::from_vec(pick(&all)).component_mul(&usual_sd) - gain.tr_mul(&row);
+            let noise = shared.variance * row.dot(&(&shared.spread * &row));
+            let variance = noise + share * off.norm_squared();
+            if variance > worst {
+                (worst, found.poorest) = (variance, orientation);
             }
         }
         found.worst_sd_mps2 = libm::sqrt(worst);
@@ -153,12 +122,9 @@ impl Unfitted {
     /// The refusal, if parameters are undetermined.
     pub fn refusal(&self, model: Model) -> Option<Refusal> {
         let sound = self.parameters.is_empty() && self.terms == Terms::NONE;
-        (!sound).then_some(Refusal::Confounded {
-            model,
-            parameters: self.parameters,
-            terms: self.terms,
-            add: self.poorest,
-            instead: None,
-        })
+        let because =
+            "typical scale factors and misalignments, which it leaves out, would bias them";
+        let refusal = || not_observable(model, self.parameters, self.terms, because, self.poorest);
+        (!sound).then(refusal)
     }
 }

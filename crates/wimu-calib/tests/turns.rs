@@ -5,7 +5,8 @@ use crate::common;
 use common::{DrawModel as _, G, Random, exact, jitter, pose, unit, ups};
 use proptest::prelude::*;
 use wimu_calib::{
-    Gravity, Model, Parameter, Placement, Pose, Refusal, four_angle, multi_position, three_angle,
+    Gravity, Model, Parameter, Placement, Pose, Reason, Refusal, four_angle, multi_position,
+    three_angle,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, trials};
@@ -84,11 +85,17 @@ fn what_is_no_turn_is_refused() {
     let upright_axis = [[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 1.0]];
     for poses in [&turn[..3], &[turn, turn].concat()[..6], &[turn[0]; 4], &out_of_order, &[]] {
         let refusal = refused(poses);
-        assert!(matches!(refusal, Refusal::NotATurn { steps: 4, .. }), "{refusal}");
+        assert!(
+            matches!(refusal, Refusal { reason: Reason::Placement { steps: 4, .. }, .. }),
+            "{refusal}"
+        );
     }
     // About an axis that leans 45° gravity turns through 0.7 g only.
     let tilted = refused(&upright_axis.map(at));
-    assert!(matches!(tilted, Refusal::TurnTilted { pose: 0, .. }), "{tilted}");
+    assert!(
+        matches!(tilted, Refusal { reason: Reason::Placement { index: 0, .. }, .. }),
+        "{tilted}"
+    );
     assert!(four_angle(&turn, exact(), Placement::BY_HAND).is_ok());
     let steps_off = [turn[0], turn[1], turn[2], at([0.1, -1.0, 0.0])];
     let said = four_angle(&steps_off, exact(), Placement::new(0.002).expect("placement"));
@@ -130,7 +137,7 @@ fn turns_that_are_none_are_refused_with_the_reason_and_the_remedy() {
             for wrong in [whole - 10.0, whole + 10.0, whole - 30.0] {
                 let refusal = ask(wrong, 0.0, 0.0).expect_err("unequal steps");
                 assert!(
-                    matches!(refusal, Refusal::StepsUnequal { .. } | Refusal::NotATurn { .. }),
+                    matches!(refusal, Refusal { reason: Reason::Placement { .. }, .. }),
                     "{wrong}: {refusal}"
                 );
                 assert!(refusal.to_string().contains("turn"), "{refusal}");
@@ -139,12 +146,7 @@ fn turns_that_are_none_are_refused_with_the_reason_and_the_remedy() {
             {
                 let refusal = ask(whole, lean, tilt).expect_err("no level axis");
                 assert!(
-                    matches!(
-                        refusal,
-                        Refusal::TurnTilted { .. }
-                            | Refusal::StepsUnequal { .. }
-                            | Refusal::NotATurn { .. }
-                    ),
+                    matches!(refusal, Refusal { reason: Reason::Placement { .. }, .. }),
                     "{lean} {tilt}: {refusal}"
                 );
             }

@@ -6,7 +6,6 @@
 
 mod array;
 #[cfg(target_abi = "eabihf")]
-mod calibration;
 mod counter;
 mod float;
 mod inertial;
@@ -141,16 +140,16 @@ fn main() -> ! {
 
 fn measure() -> Result<(), &'static str> {
     let peripherals = cortex_m::Peripherals::take().ok_or("peripherals are taken")?;
-    let mut counter = Counter::new(peripherals.SYST)
+    let counter = Counter::new(peripherals.SYST)
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
     // In separate functions: the smaller processor has 16 kB of RAM for both.
     array::measure(&counter)?;
     inertial::measure(&counter)?;
-    samples(&mut counter)
+    samples(&counter)
 }
 
 #[inline(never)]
-fn samples(counter: &mut Counter) -> Result<(), &'static str> {
+fn samples(counter: &Counter) -> Result<(), &'static str> {
     let parameters = parameters().ok_or("the parameters are refused")?;
     let corrector = black_box(Corrector::compile(&parameters, None).map_err(|_| "no corrector")?);
     let integrator = Integrator::three_axes(Config::new(PERIOD).map_err(|_| "no period")?);
@@ -241,10 +240,6 @@ fn samples(counter: &mut Counter) -> Result<(), &'static str> {
         }
         report(name, sum, SAMPLES as u32, most);
     }
-    #[cfg(target_abi = "eabihf")]
-    calibration::measure(counter)?;
-    #[cfg(not(target_abi = "eabihf"))]
-    let _ = &mut *counter;
     Ok(())
 }
 

@@ -286,7 +286,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         }
     };
     let mut fitted = found.poses.clone();
-    let saturated = found.saturated.map(|axis| Refusal::Saturated { axis });
+    let saturated = found.saturated.map(Refusal::saturated);
     let implausible = wrong_unit(data, &found, gravity).or(saturated);
     let mut outcome = match implausible.or_else(|| sensitivity::refusal(&found, gravity, scale)) {
         Some(refusal) => Err(refusal),
@@ -377,12 +377,12 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     (outcome.findings).extend(datasheet.iter().flat_map(DatasheetReport::findings));
     let of_gravity = (estimate.as_ref()).and_then(|e| gravity::finding_of(e, gravity_source));
     outcome.findings.extend(of_gravity);
-    let rejected = estimate.as_ref().map_or(0, |e| e.rejected.count());
+    let rejected = estimate.as_ref().map_or(0, |e| e.rejected.len());
     let rejected_poses: Vec<usize> = match options.method {
         MethodChoice::SixPosition => {
             (0..fitted.len()).filter(|index| Face::of(&fitted[*index]).is_none()).collect()
         }
-        _ => (estimate.iter()).flat_map(|e| e.rejected.as_slice().to_vec()).collect(),
+        _ => (estimate.iter()).flat_map(|e| e.rejected.clone()).collect(),
     };
     if estimate.is_some() && !rejected_poses.is_empty() {
         let count = counted(rejected.max(rejected_poses.len()), "pose");

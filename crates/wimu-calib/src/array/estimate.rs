@@ -1,12 +1,14 @@
 //! Result of the fit of an array, and its test of agreement: equation (101).
 
+use nalgebra::{DMatrix, DVector};
 use wimu_model::geometry::Geometry;
 
 use super::fit::{Layout, PER_AXIS, Solved, axes_with, solve_all};
 use super::motion::{Body, nominal};
 use super::moving::{Current, for_each, point};
 use super::size::SizeTest;
-use super::{ArrayData, ArrayPrior, ArrayRefusal};
+use super::{ArrayData, ArrayPrior};
+use crate::{Reason, Refusal};
 
 /// Samples in motion count for the agreement where the sensors differ by this many times their noise, and by this, m/s².
 const NOISES: f64 = 10.0;
@@ -42,12 +44,12 @@ impl<const M: usize> Agreement<M> {
 }
 
 /// Maximum-a-posteriori estimate of an array.
-#[derive(Clone, Copy, Debug)]
-pub struct ArrayEstimate<'w, const M: usize> {
+#[derive(Clone, Debug)]
+pub struct ArrayEstimate<const M: usize> {
     layout: Layout,
     prior: ArrayPrior,
-    values: &'w [f64],
-    covariance: &'w [f64],
+    values: DVector<f64>,
+    covariance: DMatrix<f64>,
     /// Cost at the estimate: χ² of data and prior; residuals above their noise count with their logarithm.
     pub cost: f64,
     /// Variance of the gradient over that of white residuals, at least 1: residuals are correlated.
@@ -58,20 +60,10 @@ pub struct ArrayEstimate<'w, const M: usize> {
     pub agreement: Agreement<M>,
 }
 
-impl<const M: usize> ArrayEstimate<'_, M> {
-    fn value(&self, index: usize) -> f64 {
-        self.values.get(index).copied().unwrap_or(0.0)
-    }
-
-    /// Posterior covariance of two unknowns, in their own units.
-    fn covariance(&self, a: usize, b: usize) -> f64 {
-        let n = self.layout.unknowns();
-        let value = self.covariance.get(a * n + b).copied().unwrap_or(f64::NAN);
-        value * self.layout.prior(a, &self.prior) * self.layout.prior(b, &self.prior)
-    }
-
+impl<const M: usize> ArrayEstimate<M> {
     fn with_sd(&self, index: usize) -> (f64, f64) {
-        (self.value(index), libm::sqrt(self.covariance(index, index).max(0.0)))
+        let variance = self.covariance.get((index, index)).copied().unwrap_or(f64::NAN);
+        (self.values.get(index).copied().unwrap_or(0.0), libm::sqrt(variance.max(0.0)))
     }
 
     /// Bias of an axis and its standard deviation, m/s².
@@ -99,7 +91,7 @@ impl<const M: usize> ArrayEstimate<'_, M> {
         let group = self.layout.group;
         let axes = PER_AXIS * group * sensor..PER_AXIS * group * (sensor + 1);
         let all = axes.chain([self.layout.delay(sensor)]);
-        all.map(|i| libm::fabs(self.value(i)) / self.layout.prior(i, &self.prior))
+        all.map(|i| libm::fabs(self.with_sd(i).0) / self.layout.prior(i, &self.prior))
             .fold(0.0, f64::max)
     }
 
@@ -116,8 +108,8 @@ impl<const M: usize> ArrayEstimate<'_, M> {
             axes()
                 .map(|a| {
                     let n = alike(a).count().max(1) as f64;
-                    let common: f64 = alike(a).map(|b| self.covariance(at(a), at(b))).sum();
-                    self.covariance(at(a), at(a)) - common / n
+                    let common: f64 = alike(a).map(|b| self.covariance[(at(a), at(b))]).sum();
+                    self.covariance[(at(a), at(a))] - common / n
                 })
                 .sum::<f64>()
                 / count
@@ -141,30 +133,31 @@ impl<const M: usize> ArrayEstimate<'_, M> {
 ///
 /// `usable` says which sensors (from 0) take part; unknowns of the others keep their prior. Directions and positions are
 /// those of `geometry`, body axes; its noise weighs the samples. Where no sample is in motion only bias and matrix are
-/// estimated. `workspace` holds [`workspace_len`](super::workspace_len) numbers, and the result.
+/// estimated.
 ///
 /// # Errors
-/// [`ArrayRefusal`]: a workspace that is too short, input that is not finite, axes that do not determine a motion, no data.
-pub fn fit_array<'w, const M: usize>(
+/// [`Refusal`]: input that is not finite, axes that do not determine a motion, no data.
+pub fn fit_array<const M: usize>(
     geometry: &Geometry<M>,
     usable: impl Fn(usize) -> bool,
     data: &ArrayData<'_, M>,
     prior: &ArrayPrior,
-    workspace: &'w mut [f64],
-) -> Result<ArrayEstimate<'w, M>, ArrayRefusal> {
+) -> Result<ArrayEstimate<M>, Refusal> {
     let positive = |v: f64| v > 0.0 && v.is_finite();
     let sds = [prior.bias_mps2, prior.matrix, prior.position_m, prior.delay_s];
     let sound = sds.into_iter().all(positive) && positive(data.period_s);
     let repeatability = prior.repeatability_mps2;
     if !(sound && repeatability >= 0.0 && repeatability.is_finite()) {
-        return Err(ArrayRefusal::BadInput);
+        let text = "prior deviations, sample period and times have to be positive and finite";
+        return Err(Refusal::new(Reason::Input { index: 0 }, text));
     }
     if data.outputs_mps2.is_empty() || data.times_s.len() != data.outputs_mps2.len() {
-        return Err(ArrayRefusal::NoData);
+        let text = "there is neither a rest nor a sample in motion: record both";
+        return Err(Refusal::new(Reason::TooFew { have: 0, need: 1 }, text));
     }
     let Solved { values, covariance, cost, inflation, log_determinant } =
-        solve_all(geometry, &usable, data, prior, workspace)?;
-    let agreement = agreement(geometry, &usable, data, values);
+        solve_all(geometry, &usable, data, prior)?;
+    let agreement = agreement(geometry, &usable, data, &values);
     Ok(ArrayEstimate {
         layout: Layout::of(geometry),
         prior: *prior,
@@ -181,15 +174,12 @@ fn agreement<const M: usize>(
     geometry: &Geometry<M>,
     usable: &dyn Fn(usize) -> bool,
     data: &ArrayData<'_, M>,
-    values: &[f64],
+    values: &DVector<f64>,
 ) -> Agreement<M> {
     let layout = Layout::of(geometry);
     let start = nominal(geometry, usable);
-    let value = |i: usize| values.get(i).copied().unwrap_or(0.0);
-    let delays: [f64; M] = core::array::from_fn(|s| match s < layout.sensors() {
-        true => value(layout.delay(s)),
-        false => 0.0,
-    });
+    let value = |i: usize| values[i];
+    let delays = layout.delays(&value);
     let current = Current { layout, delays: &delays };
     let mut found = Agreement {
         samples: 0,

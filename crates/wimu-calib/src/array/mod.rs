@@ -3,17 +3,14 @@
 //! [`fit_array`] estimates bias, matrix row and position of each axis and the delay of each sensor from rests and from
 //! samples in motion, with their posterior covariance, and tests whether the recording agrees with the geometry.
 
-mod dense;
 mod estimate;
 mod fit;
 mod motion;
 mod moving;
-mod refusal;
 mod rests;
 mod size;
 
 pub use estimate::{Agreement, ArrayEstimate, fit_array};
-pub use refusal::ArrayRefusal;
 
 use crate::Gravity;
 
@@ -64,14 +61,4 @@ impl Default for ArrayPrior {
             gravity_sd_mps2: Gravity::UNKNOWN_PLACE.sd_mps2(),
         }
     }
-}
-
-/// Number of f64 that [`fit_array`] works in, for an array of `axes` axes, `group` of them a sensor.
-pub const fn workspace_len(axes: usize, group: usize) -> usize {
-    let sensors = match group {
-        0 => axes,
-        _ => axes / group,
-    };
-    let unknowns = fit::PER_AXIS * axes + sensors + 1;
-    3 * unknowns * unknowns + 5 * unknowns
 }

@@ -3,7 +3,7 @@
 use nalgebra::SVector;
 
 use super::ArrayData;
-use super::fit::{Layout, PER_AXIS, Sums};
+use super::fit::{Layout, Row, Sums};
 use super::motion::{Body, Reduced};
 
 /// Least spacing of the samples between which outputs are interpolated and differentiated, s: below, noise
@@ -21,8 +21,6 @@ pub(super) struct Current<'a, const M: usize> {
     pub layout: Layout,
     pub delays: &'a [f64; M],
 }
-
-type Rows<const M: usize> = [[f64; PER_AXIS + 1]; M];
 
 /// Fourth-order Lagrange interpolation from five samples.
 struct Interpolated<const M: usize> {
@@ -131,7 +129,7 @@ fn stencil<'a, const M: usize>(
 #[derive(Clone)]
 pub(super) struct Point<const M: usize> {
     pub reduced: Reduced<M>,
-    rows: Rows<M>,
+    rows: [Row; M],
     /// Outputs without bias, whitened.
     pub output: SVector<f64, M>,
     gain: SVector<f64, M>,
@@ -155,12 +153,12 @@ pub(super) fn point<const M: usize>(
     if !(turns || found.moves > LEAST_CHANGE) {
         return None;
     }
-    let mut rows = [[0.0; PER_AXIS + 1]; M];
+    let mut rows = [Row::zeros(); M];
     for (a, axis) in body.axes.iter().enumerate() {
         let w = axis.weight;
         let force = (reduced.force_mps2 + reduced.tensor * axis.r) * w;
         let position = reduced.tensor.tr_mul(&axis.m) * w;
-        rows[a] = [
+        rows[a] = Row::from([
             w,
             force.x,
             force.y,
@@ -170,7 +168,7 @@ pub(super) fn point<const M: usize>(
             position.z,
             w,
             found.change[a] * w,
-        ];
+        ]);
     }
     Some(Point { reduced, rows, output, gain: found.gain, slope: found.slope })
 }

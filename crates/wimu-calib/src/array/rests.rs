@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, SVector, Vector3};
 
-use super::fit::{Layout, PER_AXIS, Sums};
+use super::fit::{Layout, Row, Sums};
 use super::motion::AxisNow;
 use super::{ArrayData, ArrayPrior};
 
@@ -79,10 +79,10 @@ pub(super) fn add<const M: usize>(
         let force = up * gravity;
         let residual = SVector::<f64, M>::from_fn(|a, _| output[a] - rows[a].dot(&force));
         sums.cost += residual.norm_squared();
-        let jacobian: [[f64; PER_AXIS + 1]; M] = core::array::from_fn(|a| {
+        let jacobian: [Row; M] = core::array::from_fn(|a| {
             let w = weights[a];
             let [x, y, z]: [f64; 3] = (force * w).into();
-            [w, x, y, z, 0.0, 0.0, 0.0, 0.0, rows[a].dot(&up)]
+            Row::from([w, x, y, z, 0.0, 0.0, 0.0, 0.0, rows[a].dot(&up)])
         });
         let between = |a: usize, b: usize| {
             let one = f64::from(u8::from(a == b));

@@ -24,7 +24,6 @@ const MOST_NOISE: f64 = 0.3;
 /// Scale of the stationarity detector of [`PoseFinder`](super::PoseFinder): the smallest values
 /// over windows as long as the shortest hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Noise {
     /// Smallest variance of a window, summed over the axes, (m/s²)².
     pub(super) variance: f64,
@@ -78,7 +77,6 @@ impl Noise {
 
 /// Count, mean and summed squared deviations of samples.
 #[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Moments {
     pub(super) samples: u32,
     pub(super) mean: [f64; 3],
@@ -139,7 +137,6 @@ impl Moments {
 /// The block that is being filled: sums of deviations from its first sample, which need no
 /// division per sample and keep their digits when the mean is large.
 #[derive(Clone, Copy, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct Block {
     origin: [f64; 3],
     sum: [f64; 3],

@@ -1,10 +1,14 @@
 //! Whether the outputs of gyroscope and accelerometer belong together.
 
+use alloc::format;
+use alloc::string::String;
+
 use nalgebra::{Matrix3, Vector3};
 
-use super::GyroscopeRefusal;
 use super::filter::Angles;
 use super::rests::Session;
+use crate::orientation::axis_name;
+use crate::{Reason, Refusal, UnitHint};
 
 /// Largest error of the predicted directions of an uncalibrated gyroscope, rad rms (12°): 5 % of 180°,
 /// and misalignment.
@@ -30,13 +34,15 @@ pub(super) struct Start {
 }
 
 /// Refuses rests that are none, and units and axes that do not predict the direction of gravity.
-pub(super) fn plausible(session: &Session<'_>) -> Result<Start, GyroscopeRefusal> {
+pub(super) fn plausible(session: &Session<'_>) -> Result<Start, Refusal> {
     let poses = session.given.poses;
     if let Some(rest) = poses.iter().position(|pose| session.rest(pose).is_none()) {
-        return Err(GyroscopeRefusal::NotFinite { rest });
+        let text = format!("samples of rest {rest} (from 0) are missing or not finite: remove it");
+        return Err(Refusal::new(Reason::Input { index: rest }, text));
     }
     if poses.is_empty() {
-        return Err(GyroscopeRefusal::NoRest);
+        let text = "no rest was found: hold the sensor still for two seconds";
+        return Err(Refusal::new(Reason::TooFew { have: 0, need: 1 }, text));
     }
     let angles = session.angles(Matrix3::identity(), true);
     if angles.rms_rad() > PLAUSIBLE_RAD {
@@ -52,16 +58,20 @@ pub(super) fn plausible(session: &Session<'_>) -> Result<Start, GyroscopeRefusal
         let rate_rad_s = (rest.rate - bias).norm();
         let share = (rest.force.norm() / force - 1.0).abs();
         if rate_rad_s > AT_REST_RAD_S || share > AT_REST_SHARE {
-            return Err(GyroscopeRefusal::NotAtRest { rest: k, rate_rad_s });
+            let text = format!(
+                "the sensor was not at rest in rest {k} (from 0), it rotated by {:.1} °/s or accelerated: put it down \
+                 there",
+                rate_rad_s.to_degrees()
+            );
+            return Err(Refusal::new(Reason::Moved { index: k }, text));
         }
     }
     Ok(Start { bias, sample_variance: mean(&|rest| rest.rate_variance) })
 }
 
 /// The unit or the order of the axes that predicts the directions, if only one does.
-fn explanation(session: &Session<'_>) -> Option<GyroscopeRefusal> {
-    let units =
-        FACTORS.map(|factor| (Matrix3::identity() / factor, GyroscopeRefusal::Unit { factor }));
+fn explanation(session: &Session<'_>) -> Option<Refusal> {
+    let units = FACTORS.map(|factor| (Matrix3::identity() / factor, Explanation::Unit { factor }));
     let axes = (1..48).map(|k| {
         let order = ORDERS[k / 8 % 6];
         let axes = [0, 1, 2].map(|axis| (order[axis], k >> axis & 1 == 1));
@@ -70,22 +80,74 @@ fn explanation(session: &Session<'_>) -> Option<GyroscopeRefusal> {
             let size = if negated { -1.0 } else { 1.0 };
             if of == column { size } else { 0.0 }
         });
-        (matrix, GyroscopeRefusal::Axes { axes })
+        (matrix, Explanation::Axes { axes })
     });
     let mut best = (f64::INFINITY, f64::INFINITY, None);
-    for (matrix, refusal) in units.into_iter().chain(axes) {
+    for (matrix, found) in units.into_iter().chain(axes) {
         let rms = session.angles(matrix, true).rms_rad();
         if rms < best.0 {
-            best = (rms, best.0, Some(refusal));
+            best = (rms, best.0, Some(found));
         } else {
             best.1 = best.1.min(rms);
         }
     }
-    let (rms, next, refusal) = best;
-    refusal.filter(|_| rms < PLAUSIBLE_RAD && rms < CLEARLY * next)
+    let (rms, next, found) = best;
+    let found = found.filter(|_| rms < PLAUSIBLE_RAD && rms < CLEARLY * next);
+    found.map(|found| found.refusal(rms))
+}
+
+/// What makes a session inconsistent.
+enum Explanation {
+    /// Output over angular rate.
+    Unit { factor: f64 },
+    /// For X, Y, Z of the accelerometer, the axis of the gyroscope that measures the rate about it, and whether it is
+    /// negated.
+    Axes { axes: [(usize, bool); 3] },
+}
+
+impl Explanation {
+    fn refusal(&self, rms_rad: f64) -> Refusal {
+        match *self {
+            Self::Unit { factor } => {
+                let text = match factor {
+                    50.0..65.0 => "the angular rates are 57.3 times too large: they are probably in deg/s, name that unit \
+                                   in the columns"
+                        .into(),
+                    0.015..0.02 => "the angular rates are 57.3 times too small: they are probably in rad/s, name that \
+                                    unit in the columns"
+                        .into(),
+                    _ => format!(
+                        "the angular rates are about {factor} times the rotation: check the sensitivity and the \
+                         full-scale range of the gyroscope"
+                    ),
+                };
+                let reason = Reason::Unit { magnitude: rms_rad, hint: UnitHint::Sensitivity };
+                Refusal::new(reason, text)
+            }
+            Self::Axes { axes } => {
+                let mut names = String::new();
+                for (axis, (of, negated)) in axes.into_iter().enumerate() {
+                    let sign = if negated { "−" } else { "" };
+                    let comma = if axis < 2 { ", " } else { "" };
+                    names += &format!("{} = {sign}{}{comma}", axis_name(axis), axis_name(of));
+                }
+                let text = format!(
+                    "the axes of gyroscope and accelerometer differ: the rates about {names} of the gyroscope; correct \
+                     order and signs in the driver or the columns"
+                );
+                Refusal::new(Reason::Axes, text)
+            }
+        }
+    }
 }
 
 /// The refusal of directions that are not predicted.
-pub(super) fn inconsistent(angles: &Angles) -> GyroscopeRefusal {
-    GyroscopeRefusal::Inconsistent { rms_rad: angles.rms_rad(), worst_turn: angles.worst_turn }
+pub(super) fn inconsistent(angles: &Angles) -> Refusal {
+    let (rms, index) = (angles.rms_rad(), angles.worst_turn);
+    let text = format!(
+        "the rotations predict gravity with an error of {:.1}° rms, the largest after rest {index} (from 0): check units \
+         and times, or repeat the turns more slowly",
+        rms.to_degrees()
+    );
+    Refusal::new(Reason::PoorFit { rms, index }, text)
 }

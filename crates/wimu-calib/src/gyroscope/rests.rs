@@ -1,12 +1,14 @@
 //! Rests and turns of a session.
 
+use alloc::vec::Vec;
+
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::SpecificForceMps2;
 
 use super::filter::Angles;
 use super::turn::Turn;
 use super::{AccelerometerCalibration, GyroscopeSession, SixAxisSample, Theta, TurnFault};
-use crate::{Pose, Rejected};
+use crate::Pose;
 
 /// Full-scale ranges of gyroscopes, rad/s: 125, 245, 250, 500, 1000, 2000, 4000 °/s; how near to one the
 /// largest output of a clipped axis is, relative; and how many samples in a row are equal to it.
@@ -35,7 +37,7 @@ pub(super) struct Rest {
 pub(super) struct Session<'a> {
     pub given: &'a GyroscopeSession<'a>,
     pub limits_rad_s: [f64; 3],
-    pub contradicted: Rejected,
+    pub contradicted: Vec<usize>,
 }
 
 /// From the output of the gyroscope to the angular rate.
@@ -68,7 +70,7 @@ impl<'a> Session<'a> {
             Some(range) => [SATURATED * range; 3],
             None => [0, 1, 2].map(|axis| limit(given.samples, axis)),
         };
-        Self { given, limits_rad_s, contradicted: Rejected::default() }
+        Self { given, limits_rad_s, contradicted: Vec::new() }
     }
 
     /// `None` if its samples are not there, or not finite.
@@ -123,18 +125,17 @@ impl<'a> Session<'a> {
 
     /// The turn after rest `k`.
     pub fn turn(&self, k: usize, rates: &Rates<'_>) -> Result<Turn, TurnFault> {
-        match self.contradicted.contains(k) {
+        match self.contradicted.contains(&k) {
             true => Err(TurnFault::Contradicted),
             false => Turn::integrate(self.between(k), rates),
         }
     }
 
-    /// The turns that are not used, as far as there is room.
-    pub fn left_out(&self, theta: &Theta) -> [Option<(usize, TurnFault)>; Rejected::MOST] {
+    /// The turns that are not used.
+    pub fn left_out(&self, theta: &Theta) -> Vec<(usize, TurnFault)> {
         let turns = 0..self.given.poses.len().saturating_sub(1);
         let rates = self.rates(theta);
-        let mut faults = turns.filter_map(|k| Some((k, self.turn(k, rates.as_ref()?).err()?)));
-        core::array::from_fn(|_| faults.next())
+        turns.filter_map(|k| Some((k, self.turn(k, rates.as_ref()?).err()?))).collect()
     }
 
     /// `None` if A cannot be inverted.

@@ -1,10 +1,11 @@
 //! Detection of poses in a disturbed field by random sample consensus (RANSAC).
 
+use alloc::vec::Vec;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::fit::{Iron, Scaled, hard, inverse_soft, start};
 use super::{EARTHS_NT, FEWEST, MagneticPose};
-use crate::Rejected;
 
 /// Number of poses in a sample: the parameters of an ellipsoid.
 const TRIAL: usize = 9;
@@ -24,7 +25,7 @@ const LEAST_DEPTH: f64 = 0.02;
 
 /// The rms relative disturbance of the field, the disturbed poses, and their number; `None` if the
 /// poses do not show it. Equation (56).
-pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)> {
+pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Vec<usize>, usize)> {
     let n = poses.len() as f64;
     let scaled = Scaled::of(poses.iter())?;
     let point = |p: &MagneticPose| scaled.point(p);
@@ -98,10 +99,8 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     let count = agree.count();
     let left = poses.len() - count;
     if count >= FEWEST && 2 * count > poses.len() && left > 0 {
-        let mut found = Rejected::default();
-        for (k, _) in poses.iter().enumerate().filter(|(_, p)| off(&theta, p).abs() >= AGREES) {
-            found = found.with(k);
-        }
+        let strays = poses.iter().enumerate().filter(|(_, p)| off(&theta, p).abs() >= AGREES);
+        let found = strays.map(|(k, _)| k).collect();
         let squares = poses.iter().map(|p| off(&theta, p) * off(&theta, p));
         return Some((libm::sqrt(squares.sum::<f64>() / n), found, left));
     }
@@ -121,5 +120,5 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Rejected, usize)
     let mean = poses.iter().map(size).sum::<f64>() / n;
     let spread = poses.iter().map(|p| size(p) / mean - 1.0);
     let share = libm::sqrt(spread.map(|s| s * s).sum::<f64>() / n);
-    Some((share, Rejected::default(), poses.len()))
+    Some((share, Vec::new(), poses.len()))
 }

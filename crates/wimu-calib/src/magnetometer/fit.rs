@@ -1,5 +1,7 @@
 //! Fits of the iron parameters to the magnitude of the field, and of the rotation to its dip.
 
+use alloc::format;
+use alloc::string::String;
 use core::cmp::Ordering;
 
 use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
@@ -7,10 +9,10 @@ use wimu_model::{
     Alignment, MagnetometerModel, MagnetometerRotation, MagnetometerTerms, RotationCovariance,
 };
 
-use super::{EARTHS_NT, MagneticPose, MagneticRefusal};
+use super::{EARTHS_NT, MagneticPose, not_earths};
 
 use crate::ellipsoid::ellipsoid;
-use crate::{Rejected, student};
+use crate::{Reason, Refusal, student};
 
 /// Largest condition number.
 const MOST_CONDITION: f64 = 30.0;
@@ -112,19 +114,19 @@ fn last_step() -> f64 {
 /// there is one.
 pub(super) fn model(
     all: &[MagneticPose],
-    rejected: &Rejected,
+    rejected: &[usize],
     suspect: &mut Option<usize>,
-) -> Result<MagnetometerModel, MagneticRefusal> {
+) -> Result<MagnetometerModel, Refusal> {
     let poses = || {
         let kept = all.iter().enumerate();
-        kept.filter(|(place, _)| !rejected.contains(*place))
+        kept.filter(|(place, _)| !rejected.contains(place))
     };
     let have = poses().count();
     let n = have as f64;
-    let none = MagneticRefusal::NotObservable { condition: f64::INFINITY };
-    let scaled = Scaled::of(poses().map(|(_, pose)| pose)).ok_or(none)?;
+    let none = || not_observable(f64::INFINITY);
+    let scaled = Scaled::of(poses().map(|(_, pose)| pose)).ok_or_else(none)?;
     let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
-    let mut theta = start(points().map(|(_, point)| point)).ok_or(none)?;
+    let mut theta = start(points().map(|(_, point)| point)).ok_or_else(none)?;
     let mut information = SMatrix::<f64, 9, 9>::zeros();
     for _ in 0..50 {
         information = SMatrix::zeros();
@@ -134,17 +136,17 @@ pub(super) fn model(
             information.ger(1.0, &row, &row, 1.0);
             gradient.axpy(residual, &row, 1.0);
         }
-        let step = Cholesky::new(information).ok_or(none)?.solve(&gradient);
+        let step = Cholesky::new(information).ok_or_else(none)?.solve(&gradient);
         theta -= step;
         if step.norm() < last_step() {
             break;
         }
     }
-    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let inverse = Cholesky::new(information).ok_or_else(none)?.inverse();
     let values = information.symmetric_eigenvalues();
     let condition = libm::sqrt(values.max() / values.min());
     if condition.is_nan() || condition > MOST_CONDITION {
-        return Err(MagneticRefusal::NotObservable { condition });
+        return Err(not_observable(condition));
     }
     let (mut squares, mut left_out) = (0.0, 0.0);
     let mut worst = Worst::default();
@@ -159,21 +161,23 @@ pub(super) fn model(
     let (rms, loo) = (libm::sqrt(squares / n), libm::sqrt(left_out / n));
     let variance = squares / (n - 9.0);
     if rms.is_nan() || rms > MOST_RMS {
-        return Err(MagneticRefusal::FieldNotConstant {
-            share: rms,
-            disturbed: Rejected::default().with(worst.place).into(),
-        });
+        return Err(not_constant(rms, &[worst.place]));
     }
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
-        return Err(MagneticRefusal::PoorPrediction { share: loo });
+        let text = format!(
+            "the leave-one-out error is {:.2} % of the field rms, far above the residual: a single pose dominates the fit; \
+             add orientations",
+            loo * 100.0
+        );
+        return Err(Refusal::new(Reason::PoorPrediction { index: worst.place }, text));
     }
     // The scale of the field is not observable: S is normalised to determinant one.
     let w = inverse_soft(&theta);
-    let raw = w.try_inverse().ok_or(none)?;
+    let raw = w.try_inverse().ok_or_else(none)?;
     let size = libm::cbrt(raw.determinant());
     // Also if it is NaN.
     if !matches!(size.partial_cmp(&0.0), Some(Ordering::Greater)) {
-        return Err(none);
+        return Err(none());
     }
     let s = raw / size;
     let sd = |slope: &Iron| libm::sqrt(variance * slope.dot(&(inverse * slope)));
@@ -201,7 +205,7 @@ pub(super) fn model(
     };
     let field_nt = size * scaled.unit_nt;
     if !EARTHS_NT.contains(&field_nt) {
-        return Err(MagneticRefusal::NotEarths { field_nt });
+        return Err(not_earths(field_nt));
     }
     let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
     *suspect = suspect.or(bent);
@@ -219,7 +223,38 @@ pub(super) fn model(
         condition: condition.max(1.0) as f32,
         to_accelerometer: Some(to_accelerometer),
     };
-    MagnetometerModel::new(terms).map_err(MagneticRefusal::OutOfBounds)
+    MagnetometerModel::new(terms).map_err(|error| Refusal::out_of_bounds(error, "a magnetometer"))
+}
+
+fn not_observable(condition: f64) -> Refusal {
+    let text = format!(
+        "the poses do not determine hard and soft iron (condition {condition:.0}): add orientations unlike those you have, \
+         upside down and on every side"
+    );
+    Refusal::new(Reason::NotObservable, text)
+}
+
+/// The refusal of a field that was disturbed in these poses, with a residual as a fraction of the field.
+pub(super) fn not_constant(share: f64, disturbed: &[usize]) -> Refusal {
+    let mut poses = String::new();
+    for (k, pose) in disturbed.iter().enumerate() {
+        let before = match k {
+            0 if disturbed.len() == 1 => " in pose ",
+            0 => " in poses ",
+            _ => ", ",
+        };
+        poses += &format!("{before}{pose}");
+    }
+    if !disturbed.is_empty() {
+        poses += " (from 0)";
+    }
+    let text = format!(
+        "the field was not the same in all poses ({:.0} % rms): it was disturbed{poses}; take these again away from iron, \
+         currents and phones, and turn the sensor about one place",
+        share * 100.0
+    );
+    let index = disturbed.first().copied().unwrap_or(0);
+    Refusal::new(Reason::PoorFit { rms: share, index }, text)
 }
 
 /// Starting values from an ellipsoid fit, equation (11), with the symmetric root.
@@ -256,10 +291,10 @@ fn level_row(
 /// index, field direction b and up of each pose; and the most significant outlier, if there is one.
 fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
     seen: impl Fn() -> I,
-) -> Result<(MagnetometerRotation, Option<usize>), MagneticRefusal> {
+) -> Result<(MagnetometerRotation, Option<usize>), Refusal> {
     let have = seen().count();
     let n = have as f64;
-    let none = MagneticRefusal::NotObservable { condition: f64::INFINITY };
+    let none = || not_observable(f64::INFINITY);
     let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
     // Starting values: the 24 rotations that map axes to axes.
     for turn in 0..24 {
@@ -300,8 +335,8 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
             best = Some((cost, r, level, information));
         }
     }
-    let (cost, r, level, information) = best.ok_or(none)?;
-    let inverse = Cholesky::new(information).ok_or(none)?.inverse();
+    let (cost, r, level, information) = best.ok_or_else(none)?;
+    let inverse = Cholesky::new(information).ok_or_else(none)?.inverse();
     let sine = level.clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
     let spread_rad = libm::sqrt(cost / n) / cosine;
@@ -313,15 +348,20 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
         worst.take(place, residual * residual / left);
     }
     if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
-        let pose = worst.place;
-        return Err(MagneticRefusal::DipNotConstant { spread_rad, pose });
+        let index = worst.place;
+        let text = format!(
+            "the dip is not the same in all poses ({:.1}° rms, most in pose {index} from 0): the field was disturbed, or \
+             field and direction are of different times; repeat the poses away from iron, currents and phones",
+            spread_rad.to_degrees()
+        );
+        return Err(Refusal::new(Reason::PoorFit { rms: spread_rad, index }, text));
     }
     let covariance: [[f64; 3]; 3] =
         core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
     let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
     let found = MagnetometerRotation {
-        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none)?,
-        covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none)?,
+        rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none())?,
+        covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none())?,
         // Down is minus up.
         dip_rad: -libm::asin(sine) as f32,
         dip_rms_rad: spread_rad as f32,

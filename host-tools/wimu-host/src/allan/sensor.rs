@@ -3,7 +3,7 @@
 use std::fmt;
 
 use serde::Serialize;
-use wimu_calib::{AllanVariance, AxisNoise, Measured, NoiseRefusal};
+use wimu_calib::{AllanVariance, AxisNoise, Measured, Refusal};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{Figure, PointReport};
@@ -83,7 +83,7 @@ pub struct SensorNoise {
 }
 
 impl SensorNoise {
-    pub(super) fn of(allan: &AllanVariance, kind: &'static Kind) -> Result<Self, NoiseRefusal> {
+    pub(super) fn of(allan: &AllanVariance, kind: &'static Kind) -> Result<Self, Refusal> {
         let points = allan.points().map(PointReport::from).collect();
         Ok(Self { kind, axes: allan.result()?, points })
     }

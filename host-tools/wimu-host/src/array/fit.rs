@@ -1,6 +1,6 @@
 //! The fit of an array ([`wimu_calib::array`]) for recordings: conversion, and what its estimates mean for a geometry.
 
-use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array, workspace_len};
+use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array};
 use wimu_model::geometry::Geometry;
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_nav::array::ArraySolver;
@@ -136,7 +136,7 @@ impl Fitted {
     }
 
     fn new<const M: usize>(
-        found: &ArrayEstimate<'_, M>,
+        found: &ArrayEstimate<M>,
         sensors: usize,
         used: &dyn Fn(usize) -> bool,
     ) -> Self {
@@ -206,8 +206,7 @@ fn solved<const M: usize>(
     data: &ArrayData<'_, M>,
     prior: &ArrayPrior,
 ) -> Result<Fitted> {
-    let mut room = vec![0.0; workspace_len(geometry.axes().len(), geometry.group())];
-    let found = fit_array(geometry, used, data, prior, &mut room).map_err(refused)?;
+    let found = fit_array(geometry, used, data, prior).map_err(refused)?;
     Ok(Fitted::new(&found, sensors, used))
 }
 

@@ -1,6 +1,6 @@
 //! Recommended poses.
 
-use wimu_calib::{Face, Guide, Orientation, Pose, Refusal};
+use wimu_calib::{Face, Guide, Orientation, Pose, Reason, Refusal};
 
 use super::{CalibrateOptions, MethodChoice, NextPose, wanted};
 
@@ -15,21 +15,17 @@ pub(super) fn next_poses(
     poses: &[Pose],
     options: &CalibrateOptions,
 ) -> Vec<NextPose> {
-    match *refusal {
+    match refusal.reason {
         // A repeated orientation adds little: its error may be the same.
-        Refusal::NotObservable { .. }
-        | Refusal::Confounded { .. }
-        | Refusal::PoorPrediction { .. } => advice(poses, options, 1),
+        Reason::NotObservable | Reason::PoorPrediction { .. } => advice(poses, options, 1),
         // One that replaces the disturbed pose, and one that identifies it.
-        Refusal::PoseContradicted { .. } => advice(poses, options, 2),
-        Refusal::PoseMissing { .. } => Face::ALL
+        Reason::Contradicted { .. } => advice(poses, options, 2),
+        Reason::TooFew { .. } if options.method == MethodChoice::SixPosition => Face::ALL
             .into_iter()
             .filter(|face| poses.iter().all(|pose| Face::of(pose) != Some(*face)))
             .map(|face| Orientation::from(face).into())
             .collect(),
-        Refusal::TooFewPoses { have, need, .. } => {
-            advice(poses, options, need.saturating_sub(have))
-        }
+        Reason::TooFew { have, need } => advice(poses, options, need.saturating_sub(have)),
         _ => Vec::new(),
     }
 }

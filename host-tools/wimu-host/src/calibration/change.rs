@@ -58,7 +58,7 @@ pub(super) fn finding(
     if !matches!(estimate.method, Method::MultiPosition(_)) || estimate.beyond_bounds.is_some() {
         return None;
     }
-    let rejected = estimate.rejected.as_slice();
+    let rejected = &estimate.rejected;
     let all = rejected.is_empty();
     // A step may have caused the rejection of the poses beyond it.
     let of = |all| Rows::new(poses, estimate, all).and_then(|rows| Some((rows.change()?, rows)));
@@ -76,7 +76,7 @@ pub(super) fn finding(
         let flipped: Vec<Pose> = poses.iter().map(flipped).collect();
         let better = refit(&flipped).is_some_and(|fit| {
             let squares = fit.fitted_rms_mps2.powi(2) * fit.poses as f64;
-            fit.rejected.count() <= rejected.len() && rows.score(squares, 1) < change.score
+            fit.rejected.len() <= rejected.len() && rows.score(squares, 1) < change.score
         });
         if better {
             change.kind = Kind::Sign(axis);
@@ -137,7 +137,7 @@ impl Rows {
     /// `None` where the poses have no times or do not exceed the parameters.
     fn new(poses: &[Pose], estimate: &Estimate, all: bool) -> Option<Self> {
         let mut order: Vec<usize> =
-            (0..poses.len()).filter(|k| all || !estimate.rejected.contains(*k)).collect();
+            (0..poses.len()).filter(|k| all || !estimate.rejected.contains(k)).collect();
         order.sort_by(|a, b| poses[*a].time_s.total_cmp(&poses[*b].time_s));
         // Poses of one orientation in succession share an error (42b): the first of them stands for all.
         order.dedup_by(|next, pose| same_orientation(&poses[*pose], &poses[*next]));

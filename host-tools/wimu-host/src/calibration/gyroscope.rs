@@ -4,8 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{
-    AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeRefusal, GyroscopeSession,
-    Pose, TurnFault,
+    AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeSession, Pose, Reason, Refusal,
+    TurnFault,
 };
 use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 
@@ -67,7 +67,7 @@ pub(super) fn calibrate(
         }
     };
     let samples = data.six_axis(track, mps2, si);
-    let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(k)).then_some(*pose);
+    let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(&k)).then_some(*pose);
     let poses: Vec<Pose> = poses.iter().enumerate().filter_map(kept).collect();
     let accelerometer = AccelerometerCalibration::from(accelerometer);
     let full_scale_rad_s = full_scale.or(lsb.map(|lsb| 32_700.0 * lsb));
@@ -120,13 +120,13 @@ pub(super) fn calibrate(
 /// The estimate without the poses in which the gyroscope shows a rotation, at most one of five, and their number.
 fn at_rests(
     mut poses: Vec<Pose>,
-    estimate: impl Fn(&[Pose]) -> Result<GyroscopeEstimate, GyroscopeRefusal>,
-) -> Result<(GyroscopeEstimate, usize), GyroscopeRefusal> {
+    estimate: impl Fn(&[Pose]) -> Result<GyroscopeEstimate, Refusal>,
+) -> Result<(GyroscopeEstimate, usize), Refusal> {
     let most = poses.len() / 5;
     let mut turning = 0;
     loop {
         match estimate(&poses) {
-            Err(GyroscopeRefusal::NotAtRest { rest, .. }) if turning < most => {
+            Err(Refusal { reason: Reason::Moved { index: rest }, .. }) if turning < most => {
                 poses.remove(rest);
                 turning += 1;
             }
@@ -136,7 +136,7 @@ fn at_rests(
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {
-    let left_out = estimate.left_out().map(|(rest, fault)| {
+    let left_out = estimate.left_out.iter().map(|&(rest, fault)| {
         let code = match fault {
             TurnFault::Saturated { .. } => Code::Saturated,
             _ => Code::SamplesLeftOut,

@@ -2,7 +2,9 @@
 
 use std::collections::HashSet;
 
-use wimu_calib::{Gravity, Model, MultiPosition, Pose, Refusal, UnitHint, multi_position_with};
+use wimu_calib::{
+    Gravity, Model, MultiPosition, Pose, Reason, Refusal, UnitHint, multi_position_with,
+};
 
 use super::saturation;
 use crate::recording::{Output, OutputUnit, Samples};
@@ -105,7 +107,7 @@ pub(super) fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) ->
     }
     let mean_mps2 = median_magnitude(data) * found.scale;
     let hint = not_gravity(mean_mps2, gravity)?;
-    Some(Refusal::UnexpectedMagnitude { mean_mps2, hint })
+    Some(Refusal::unexpected_magnitude(mean_mps2, hint))
 }
 
 /// The likely unit of an output of this magnitude at rest, m/s², if it cannot be gravity.
@@ -113,7 +115,7 @@ fn not_gravity(mps2: f64, gravity: Gravity) -> Option<UnitHint> {
     let typical = Pose::from_mean([mps2, 0.0, 0.0]);
     let bias = MultiPosition { model: Model::Bias3, ..MultiPosition::default() };
     match multi_position_with(&[typical; 4], gravity, bias) {
-        Err(Refusal::UnexpectedMagnitude { hint, .. }) => Some(hint),
+        Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => Some(hint),
         _ => None,
     }
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::calibration::parameter_id;
 use serde::Serialize;
 use wimu_calib::{
-    Guide, MagneticEstimate, MagneticPose, MagneticRefusal, Model, Orientation, Pose, magnetometer,
+    Guide, MagneticEstimate, MagneticPose, Model, Orientation, Pose, Reason, magnetometer,
 };
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
@@ -141,19 +141,12 @@ pub fn calibrate_magnetometer(
     };
     match magnetometer(&fitted, dip_rad) {
         Err(refusal) => {
-            report.outcome.refuse(match refusal {
-                MagneticRefusal::Mirrored { dip_rad, .. } => {
-                    format!("{refusal}: --dip {:.0}", dip_rad.to_degrees())
-                }
+            report.outcome.refuse(match refusal.reason {
+                Reason::Axes => format!("{refusal}: --dip DEG"),
                 _ => refusal.to_string(),
             });
             // Other refusals are not resolved by more poses.
-            if !matches!(
-                refusal,
-                MagneticRefusal::TooFewPoses { .. }
-                    | MagneticRefusal::NotObservable { .. }
-                    | MagneticRefusal::PoorPrediction { .. }
-            ) {
+            if !refusal.needs_poses() {
                 report.next_poses.clear();
                 report.poses_worth_adding = 0;
             }
@@ -325,7 +318,7 @@ impl MagnetometerReport {
 
     fn accept(&mut self, found: &MagneticEstimate, set: &ParameterSet, fitted: &[MagneticPose]) {
         let model: MagnetometerModel = found.model;
-        self.rejected_poses = found.rejected.as_slice().to_vec();
+        self.rejected_poses = found.rejected.clone();
         let terms = *model.terms();
         for (pose, fitted) in self.poses.iter_mut().zip(fitted) {
             let length = magnitude(

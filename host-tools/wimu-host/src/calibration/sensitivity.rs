@@ -22,7 +22,7 @@ const MIN_ORIENTATIONS: usize = 6;
 pub(super) fn refusal(found: &Poses, gravity: Gravity, mps2_per_unit: f64) -> Option<Refusal> {
     let sizes = || found.poses.iter().map(|pose| magnitude(pose.mean_mps2));
     let mean_mps2 = median(sizes())?;
-    let refused = |hint| Some(Refusal::UnexpectedMagnitude { mean_mps2, hint });
+    let refused = |hint| Some(Refusal::unexpected_magnitude(mean_mps2, hint));
     let ratio = mean_mps2 / gravity.mps2();
     let apart = rms(sizes().map(|size| size / mean_mps2 - 1.0))?;
     // Beyond, it is another unit; where the magnitudes differ, it is one axis.

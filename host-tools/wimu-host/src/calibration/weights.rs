@@ -17,16 +17,10 @@ const MIN_GAIN: f64 = 1.92;
 pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
     let counts = || poses.iter().map(|pose| pose.samples.max(1));
     let differ = counts().max()? / counts().min()? >= MIN_RATIO;
-    // All rejected poses must be listed.
-    let named = estimate.rejected.count() == estimate.rejected.as_slice().len();
-    if !differ
-        || !named
-        || estimate.dof < MIN_DOF
-        || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3])
-    {
+    if !differ || estimate.dof < MIN_DOF || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3]) {
         return None;
     }
-    let kept = |(index, _): &(usize, &Pose)| !estimate.rejected.as_slice().contains(index);
+    let kept = |(index, _): &(usize, &Pose)| !estimate.rejected.contains(index);
     let rows: Vec<Row> = (poses.iter().enumerate().filter(kept))
         .map(|(_, pose)| Row {
             residual: estimate.residual_mps2(pose),

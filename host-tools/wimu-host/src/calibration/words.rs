@@ -1,7 +1,8 @@
 //! Messages of a calibration: reasons for a refusal, and findings.
 
 use wimu_calib::{
-    BeyondBounds, Estimate, Face, Method, Model, Parameter, Pose, Refusal, Term, Terms, UnitHint,
+    BeyondBounds, Estimate, Face, Method, Model, Parameter, Pose, Reason, Refusal, Term, Terms,
+    UnitHint,
 };
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -41,7 +42,7 @@ pub(super) fn reason(
     used_lsb_per_g: Option<f64>,
 ) -> String {
     let has = poses.len();
-    if let Refusal::NotATurn { pose, steps } = *refusal {
+    if let Reason::Placement { index: pose, steps: steps @ 3..=4 } = refusal.reason {
         let degrees = 360 / steps.max(1);
         if has < steps {
             return format!(
@@ -61,15 +62,15 @@ pub(super) fn reason(
         }
     }
     let mut reason = refusal.to_string();
-    if let Refusal::UnexpectedMagnitude { mean_mps2, hint: UnitHint::Sensitivity } = *refusal {
-        let ratio = mean_mps2 / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
+    if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
+        let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
         let datasheet = options.datasheet.or(data.datasheet());
         return reason + "; " + &sensitivity::likely(ratio, used_lsb_per_g, datasheet);
     }
     if looks_like_means(data, has) {
         return reason + "; the rows look like means over static poses: if they are, add --poses";
     }
-    if let (Refusal::TooFewPoses { .. }, Some(deg_per_s)) = (refusal, slow_rotation(data)) {
+    if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
         return reason
             + &format!(
                 "; the sensor rotated all the time, at {deg_per_s:.0}°/s: hold it still in each pose"
@@ -78,17 +79,10 @@ pub(super) fn reason(
     if has == 1 && !data.poses {
         return reason + "; for the noise of a sensor at rest use `wimu allan`";
     }
-    if matches!(refusal, Refusal::PoorFit { .. } | Refusal::PoseContradicted { .. }) {
+    if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
         reason.extend(what_changed(poses, options));
     }
-    let too_few = matches!(
-        refusal,
-        Refusal::TooFewPoses { .. }
-            | Refusal::NotObservable { .. }
-            | Refusal::Confounded { .. }
-            | Refusal::PoorPrediction { .. }
-    );
-    if !too_few || options.method != MethodChoice::MultiPosition {
+    if !refusal.needs_poses() || options.method != MethodChoice::MultiPosition {
         return reason;
     }
     let fixed = options.model != ModelChoice::Auto;
@@ -175,8 +169,7 @@ fn in_another_unit(poses: &[Pose], estimate: &Estimate) -> Option<Problem> {
         let pose = poses.get(**k);
         pose.is_some_and(|pose| (7.3..13.0).contains(&(g / magnitude(pose.mean_mps2))))
     };
-    let short: Vec<String> =
-        estimate.rejected.as_slice().iter().filter(short).map(usize::to_string).collect();
+    let short: Vec<String> = estimate.rejected.iter().filter(short).map(usize::to_string).collect();
     (!short.is_empty()).then(|| {
         let text = format!(
             "poses that were left out appear to be in g, the others in m/s²: {} (from 0)",

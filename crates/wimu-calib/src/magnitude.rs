@@ -1,0 +1,426 @@
+//! The accelerometer in unknown orientations: at rest |f| = g. Equations (12) to (17), (40) to (42b).
+//!
+//! r_k = |f(y_k; θ)| − g, with f = z − q ∘ z ∘ z and z = A(T)⁻¹ (y − b(T) − drift). The free parameters are a subset of
+//! θ; the others keep their starting values.
+
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use crate::force::{Conditions, Evaluated};
+use crate::least_squares::{self, ResidualModel, Rows, Scaled, Settings};
+use crate::terms::{PERFECT, Slot, Theta};
+use crate::visits::Visits;
+use crate::weights::Weighting;
+use crate::{Model, MultiPosition, Orientation, Parameters, Pose, Reason, Refusal, Terms};
+
+/// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
+/// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
+const LAST_STEP_MPS2: f64 = 1e-6;
+/// The same for a robust fit, which only ranks poses: fraction of the scale of its cost.
+const LAST_ROBUST_STEP: f64 = 1e-3;
+/// Largest amplification of an error from the poses to other orientations. Twelve well distributed
+/// poses give 1 to 2, twelve random ones 4.
+const MOST_AMPLIFICATION: f64 = 10.0;
+/// Largest number of attempts to invert a singular information matrix, each with four times the
+/// diagonal.
+const MOST_REGULARISATIONS: usize = 10;
+
+/// A fit of the free parameters.
+pub(crate) type Fit = least_squares::Fit<Theta>;
+
+/// Least-squares problem: some parameters fitted to |f| = g over static poses.
+pub(crate) struct Magnitude<'a> {
+    pub poses: &'a [Pose],
+    pub visits: &'a Visits,
+    pub gravity_mps2: f64,
+    pub conditions: Conditions,
+    pub weighting: Weighting,
+    /// Indices of the rejected poses, the worst first.
+    pub rejected: Vec<usize>,
+    /// The fitted parameters; the others keep their starting values.
+    pub free: Vec<Slot>,
+}
+
+impl ResidualModel for Magnitude<'_> {
+    type Point = Theta;
+
+    fn rows(&self, theta: &Theta) -> Option<Rows> {
+        let at = Evaluated::new(theta)?;
+        let (n, p) = (self.poses.len(), self.free.len());
+        let mut rows = Rows { residual: DVector::zeros(n), jacobian: DMatrix::zeros(n, p) };
+        for (k, pose) in self.poses.iter().enumerate() {
+            let applied = at.pose(pose, &self.conditions);
+            let all = at.derivatives(&applied);
+            rows.residual[k] = applied.force.norm() - self.gravity_mps2;
+            for (i, slot) in self.free.iter().enumerate() {
+                rows.jacobian[(k, i)] = all[slot.index()];
+            }
+        }
+        Some(rows)
+    }
+
+    fn moved(&self, theta: &Theta, step: &DVector<f64>) -> Theta {
+        let mut moved = *theta;
+        for (slot, step) in self.free.iter().zip(step) {
+            moved[slot.index()] += step;
+        }
+        moved
+    }
+}
+
+/// Variance components of the residuals: equation (42b).
+pub(crate) struct Shared {
+    /// Variance of a residual of weight 1, (m/s²)².
+    pub variance: f64,
+    /// Covariance of the fitted parameters, relative to `variance`.
+    pub spread: DMatrix<f64>,
+    /// Degrees of freedom of `variance`.
+    pub dof: f64,
+    /// Effective number of poses: poses in different orientations that would carry as much
+    /// information.
+    pub poses: f64,
+}
+
+/// Observability of the fitted parameters: equation (17).
+pub(crate) struct Knowledge {
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
+    pub condition: f64,
+    /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
+    /// residuals.
+    pub amplification: f64,
+    /// That orientation: a pose there adds most information.
+    pub poorest: Orientation,
+    /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
+    variance: Vec<f64>,
+}
+
+impl Knowledge {
+    pub fn suffices(&self) -> bool {
+        self.amplification < MOST_AMPLIFICATION
+    }
+
+    pub fn refusal(&self, what: MultiPosition, free: &[Slot]) -> Refusal {
+        let largest = self.variance.iter().copied().fold(0.0, f64::max);
+        let poor = || {
+            let all = free.iter().zip(&self.variance);
+            all.filter(|(_, variance)| **variance >= 0.1 * largest).map(|(&slot, _)| slot)
+        };
+        let grows = match self.amplification < 1e4 {
+            true => format!(
+                "condition {:.0}, an error in a pose grows {:.0} times elsewhere",
+                self.condition, self.amplification
+            ),
+            false => "elsewhere the output could be anything".into(),
+        };
+        let parameters = poor().filter_map(Slot::parameter).collect();
+        let terms = poor().filter_map(Slot::term).collect();
+        not_observable(what.model, parameters, terms, &grows, self.poorest)
+    }
+}
+
+/// The refusal of parameters and terms that the poses do not determine: `because`, and a pose at `add` helps most.
+pub(crate) fn not_observable(
+    model: Model,
+    parameters: Parameters,
+    terms: Terms,
+    because: &str,
+    add: Orientation,
+) -> Refusal {
+    let mut names = String::new();
+    if !parameters.is_empty() {
+        names += &format!("{parameters}");
+    }
+    if terms != Terms::NONE {
+        let comma = if names.is_empty() { "" } else { ", " };
+        names += &format!("{comma}{terms}");
+    }
+    let text = format!(
+        "the poses do not determine {names} of the {model}: {because}; add a pose with {add}, and others unlike those \
+         you have"
+    );
+    Refusal::new(Reason::NotObservable, text)
+}
+
+impl Magnitude<'_> {
+    fn settings(&self, cauchy: Option<f64>) -> Settings {
+        let last_step = cauchy.map_or(LAST_STEP_MPS2, |scale| LAST_ROBUST_STEP * scale);
+        Settings { cauchy, last_step, magnitude: self.gravity_mps2 }
+    }
+
+    /// Weight of each pose; 0 for rejected ones.
+    pub fn weights(&self) -> Vec<f64> {
+        let mut weights: Vec<f64> = self.poses.iter().map(|pose| self.weighting.of(pose)).collect();
+        self.rejected.iter().for_each(|k| weights[*k] = 0.0);
+        weights
+    }
+
+    /// The fit to the poses that are not rejected.
+    pub fn solve(&self, start: &Theta) -> Option<Fit> {
+        least_squares::minimise(self, start, &self.weights(), self.settings(None))
+    }
+
+    /// The fit without one more pose.
+    pub fn solve_without(&self, start: &Theta, pose: usize) -> Option<Fit> {
+        let mut weights = self.weights();
+        weights[pose] = 0.0;
+        least_squares::minimise(self, start, &weights, self.settings(None))
+    }
+
+    /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
+    /// influence.
+    pub fn solve_robust(&self, start: &Theta, cauchy: f64) -> Option<Fit> {
+        let weights: Vec<f64> =
+            (0..self.poses.len()).map(|k| if self.is_rejected(k) { 0.0 } else { 1.0 }).collect();
+        least_squares::minimise(self, start, &weights, self.settings(Some(cauchy)))
+    }
+
+    pub fn is_rejected(&self, pose: usize) -> bool {
+        self.rejected.contains(&pose)
+    }
+
+    /// Indices of the fitted poses.
+    pub fn kept(&self) -> impl Iterator<Item = usize> {
+        (0..self.poses.len()).filter(|k| !self.is_rejected(*k))
+    }
+
+    /// Number of fitted poses.
+    pub fn count(&self) -> usize {
+        self.poses.len() - self.rejected.len()
+    }
+
+    /// Whether the noise of every pose is known.
+    pub fn has_noise(&self) -> bool {
+        self.poses.iter().all(|pose| pose.mean_free_noise() > 0.0)
+    }
+
+    /// Mean variance of the noise of a pose, (m/s²)².
+    pub fn mean_noise(&self) -> f64 {
+        let sum: f64 = self.poses.iter().map(Pose::mean_free_noise).sum();
+        sum / self.poses.len() as f64
+    }
+
+    /// |f| − g of every pose under `theta`, m/s²; infinite if A is singular.
+    pub fn residuals(&self, theta: &Theta) -> Vec<f64> {
+        let Some(at) = Evaluated::new(theta) else {
+            return alloc::vec![f64::INFINITY; self.poses.len()];
+        };
+        let of = |pose| at.pose(pose, &self.conditions).force.norm() - self.gravity_mps2;
+        self.poses.iter().map(of).collect()
+    }
+
+    /// Residual of a pose, m/s², and its derivatives.
+    pub fn row(&self, theta: &Theta, pose: usize) -> Option<(f64, DVector<f64>)> {
+        let at = Evaluated::new(theta)?;
+        let applied = at.pose(self.poses.get(pose)?, &self.conditions);
+        let residual = applied.force.norm() - self.gravity_mps2;
+        Some((residual, self.fitted(&at.derivatives(&applied))))
+    }
+
+    /// The elements of the fitted parameters.
+    pub fn fitted(&self, all: &Theta) -> DVector<f64> {
+        DVector::from_iterator(self.free.len(), self.free.iter().map(|slot| all[slot.index()]))
+    }
+
+    /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
+    /// that of a residual.
+    pub fn predicted(&self, fit: &Fit, pose: usize) -> Option<(f64, f64)> {
+        let (residual, row) = self.row(&fit.at, pose)?;
+        Some((residual, fit.variance(&row)))
+    }
+
+    /// Adds (`sign` 1) or removes (−1) a pose in one step, with an error of second order. `None` if
+    /// the fit becomes singular.
+    pub fn change(&self, fit: &mut Fit, pose: usize, sign: f64) -> Option<()> {
+        let (residual, row) = self.row(&fit.at, pose)?;
+        let step = fit.change(&row, residual, sign * self.weighting.of(&self.poses[pose]));
+        fit.at = self.moved(&fit.at, &step);
+        fit.at.iter().all(|t| t.is_finite()).then_some(())
+    }
+
+    /// The residual of each pose under the fit to the poses of other orientations, or with `each` to all other poses;
+    /// infinite if those do not determine the parameters. A rejected pose has its residual.
+    pub fn left_out(&self, fit: &Fit, each: bool) -> Vec<f64> {
+        let (Some(rows), weights) = (self.rows(&fit.at), self.weights()) else {
+            return alloc::vec![f64::INFINITY; self.poses.len()];
+        };
+        let settings = self.settings(None);
+        let mut left: Vec<f64> = rows.residual.iter().copied().collect();
+        let groups: Vec<Vec<usize>> = match each {
+            true => self.kept().map(|k| alloc::vec![k]).collect(),
+            false => self.groups(),
+        };
+        for group in groups {
+            let found = fit.left_out(self, &rows, &weights, &group, settings);
+            for (i, k) in group.into_iter().enumerate() {
+                left[k] = found.as_ref().map_or(f64::INFINITY, |found| found[i]);
+            }
+        }
+        left
+    }
+
+    /// The fitted poses by orientation.
+    pub fn groups(&self) -> Vec<Vec<usize>> {
+        let mut groups = alloc::vec![Vec::new(); self.visits.orientations()];
+        self.kept().for_each(|k| groups[self.visits.group(k)].push(k));
+        groups.retain(|group| !group.is_empty());
+        groups
+    }
+
+    /// Number of independent observations among the fitted poses, and whether orientations are repeated.
+    pub fn independent(&self) -> (usize, bool) {
+        let apart = crate::visits::apart(self.count(), self.groups().len());
+        (apart, apart < self.count())
+    }
+
+    /// Variance within and between orientations. `None` when the differences between orientations
+    /// are used up by the parameters.
+    pub fn shared(&self, fit: &Fit) -> Option<Shared> {
+        let (n, p) = (self.count() as f64, self.free.len() as f64);
+        let apart = Shared {
+            variance: fit.cost / (n - p),
+            spread: fit.inverse.clone(),
+            dof: n - p,
+            poses: n,
+        };
+        if !self.independent().1 {
+            return Some(apart);
+        }
+        // Sums over the poses of each orientation, with residuals e and rows x multiplied by the
+        // root of the weight: Σ e; G = Σ g gᵀ with g = Σ x; Σ m²; Σ m g gᵀ.
+        let (all, weights, groups) = (self.rows(&fit.at)?, self.weights(), self.groups());
+        let mut rows = DMatrix::zeros(self.free.len(), self.free.len());
+        let mut weighted = rows.clone();
+        let (mut squares, mut together) = (0.0, 0.0);
+        for group in &groups {
+            let m = group.len() as f64;
+            squares += m * m;
+            let mut sum = 0.0;
+            let mut row = DVector::zeros(self.free.len());
+            for k in group {
+                let root = libm::sqrt(weights[*k]);
+                sum += root * all.residual[*k];
+                row += all.jacobian.row(*k).transpose() * root;
+            }
+            together += sum * sum;
+            rows.ger(1.0, &row, &row, 1.0);
+            weighted.ger(m, &row, &row, 1.0);
+        }
+        let around = &fit.inverse * &rows * &fit.inverse;
+        let a = n - (&fit.inverse * &rows).trace();
+        let k = squares - 2.0 * (&fit.inverse * weighted).trace() + (&around * rows).trace();
+        // The parameters use up the differences between orientations.
+        if a < 0.5 * n / groups.len() as f64 {
+            return None;
+        }
+        // S = α (n − p) + β a, T = α a + β k.
+        let determinant = (n - p) * k - a * a;
+        let beta = ((n - p) * together - a * fit.cost) / determinant;
+        if !(determinant > 1e-9 * a * a && beta > 0.0) {
+            return Some(apart);
+        }
+        let beta = beta.min(together / k);
+        let alpha = ((fit.cost - beta * a) / (n - p)).max(0.0);
+        let variance = alpha + beta;
+        let share = beta / variance;
+        let telling = groups.iter().map(|group| {
+            let m = group.len() as f64;
+            m / (1.0 + share * (m - 1.0))
+        });
+        Some(Shared {
+            variance,
+            spread: &fit.inverse * (1.0 - share) + around * share,
+            dof: (a * a / k).clamp(1.0, n - p),
+            poses: telling.sum(),
+        })
+    }
+
+    /// JᵀJ at `theta`, with equal weights of the fitted poses.
+    fn information(&self, theta: &Theta) -> Option<DMatrix<f64>> {
+        let kept: Vec<usize> = self.kept().collect();
+        let jacobian = self.rows(theta)?.jacobian.select_rows(&kept);
+        Some(jacobian.tr_mul(&jacobian))
+    }
+
+    /// `fit` with the derivatives of a perfect sensor.
+    pub fn at_perfect(&self, fit: &Fit) -> Option<Fit> {
+        let mut jacobian = self.rows(&PERFECT)?.jacobian;
+        for (mut row, weight) in jacobian.row_iter_mut().zip(self.weights()) {
+            row.scale_mut(libm::sqrt(weight));
+        }
+        let inverse = Scaled::new(&jacobian.tr_mul(&jacobian), 0.0)?.inverse();
+        Some(Fit { inverse, cost: fit.cost, at: PERFECT })
+    }
+
+    /// Observability of the fitted parameters, with equal weights.
+    pub fn knowledge(&self, fit: &Fit) -> Option<Knowledge> {
+        if self.weighting.is_equal() {
+            return self.with_inverse(&fit.at, &fit.inverse);
+        }
+        let inverse = Scaled::new(&self.information(&fit.at)?, 0.0)?.inverse();
+        self.with_inverse(&fit.at, &inverse)
+    }
+
+    /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
+    pub fn knowledge_at(&self, theta: &Theta) -> Option<Knowledge> {
+        let information = self.information(theta)?;
+        if let Some(factor) = Scaled::new(&information, 0.0) {
+            return self.with_inverse(theta, &factor.inverse());
+        }
+        // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
+        // invertible.
+        let squares = self.units().map(|unit| unit * unit);
+        let largest = information.diagonal().component_mul(&squares).max();
+        let mut rounding = largest * f64::EPSILON;
+        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
+            let mut regular = information.clone();
+            for (i, square) in squares.iter().enumerate() {
+                regular[(i, i)] += rounding / square;
+            }
+            rounding *= 4.0;
+            Some(regular.cholesky()?.inverse())
+        })?;
+        self.with_inverse(theta, &inverse)
+    }
+
+    /// Value of each parameter that causes an error of 1 m/s² at 1 g.
+    fn units(&self) -> DVector<f64> {
+        let units = self.free.iter().map(|slot| slot.per_mps2(self.gravity_mps2));
+        DVector::from_iterator(self.free.len(), units)
+    }
+
+    /// Standard deviation of |f| − g in the worst orientation, relative to that of the residuals.
+    pub fn amplification(&self, theta: &Theta, inverse: &DMatrix<f64>) -> f64 {
+        self.worst(theta, inverse).map_or(f64::INFINITY, |(amplification, _)| amplification)
+    }
+
+    fn worst(&self, theta: &Theta, inverse: &DMatrix<f64>) -> Option<(f64, Orientation)> {
+        let at = Evaluated::new(theta)?;
+        let (mut worst, mut poorest) = (0.0, Orientation::ALL[0]);
+        for orientation in Orientation::ALL {
+            let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
+            let row = self.fitted(&at.derivatives(&at.at(force)));
+            let variance = row.dot(&(inverse * &row));
+            // Opposite orientations are equal to rounding where the bias is determined alone.
+            if variance > worst * (1.0 + 1e-12) {
+                (worst, poorest) = (variance, orientation);
+            }
+        }
+        Some((libm::sqrt(worst), poorest))
+    }
+
+    fn with_inverse(&self, theta: &Theta, inverse: &DMatrix<f64>) -> Option<Knowledge> {
+        let units = self.units();
+        let (amplification, poorest) = self.worst(theta, inverse)?;
+        let n = self.free.len();
+        let scaled = DMatrix::from_fn(n, n, |r, c| inverse[(r, c)] / (units[r] * units[c]));
+        let variance = scaled.diagonal().iter().copied().collect();
+        let values = scaled.symmetric_eigenvalues();
+        // A zero eigenvalue comes out as rounding of about this size.
+        let floor = values.max() * f64::EPSILON * 0.5;
+        let condition = libm::sqrt(values.max() / values.min().max(floor));
+        Some(Knowledge { condition, amplification, poorest, variance })
+    }
+}

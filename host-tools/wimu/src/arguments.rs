@@ -376,28 +376,18 @@ pub struct Ports {
 #[command(after_help = "\
 Examples:
   wimu monitor tcp://127.0.0.1:7100
-  wimu monitor tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100
   wimu monitor tcp://127.0.0.1:7100 --rate 10 --for 5
-  wimu monitor tcp://127.0.0.1:7100 --navigate --fixes tcp://127.0.0.1:9000
-In a terminal of 80x24 or more a LINK is a screen with its keys at the bottom; otherwise, and with \
---rate or --json, it prints lines.")]
+At a terminal the rows of a LINK are redrawn in place; otherwise, and with --rate or --json, it prints \
+lines. `wimu dashboard` plots and records.")]
 pub struct Monitor {
     /// A LINK, or a recording
     pub input: String,
-    /// A second link of the same board, shown with the first on the screen
-    #[arg(long, value_name = "LINK")]
-    pub cable: Option<String>,
     /// Lines per second of device time [default: 1; with --json every reading]
     #[arg(long, value_name = "HZ", value_parser = from_to(1e-6, 1e6))]
     pub rate: Option<f64>,
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
-    /// Show on the screen the position of `wimu navigate LINK`, with the options below
-    #[arg(long)]
-    pub navigate: bool,
-    #[command(flatten)]
-    pub aids: Aids,
 }
 
 #[derive(Args)]

@@ -14,7 +14,7 @@ mod arguments;
 mod command;
 mod output;
 mod progress;
-mod screen;
+mod text_view;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

@@ -5,7 +5,6 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use ratatui::crossterm::terminal;
 use serde::Serialize;
 use serde_json::Value;
 use wimu_host::problem::{labelled, text};
@@ -35,6 +34,12 @@ struct Envelope<'a, T> {
 /// A `usage` error: what is wrong, and what to do.
 pub fn usage(message: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Code::Usage.error(message, remedy)
+}
+
+/// Columns and rows of the terminal; `None` without one.
+pub fn terminal_size() -> Option<(usize, usize)> {
+    let (width, height) = terminal_size::terminal_size()?;
+    Some((width.0.into(), height.0.into()))
 }
 
 /// Text whose longer lines are broken between words; what follows is indented as the line and two more.
@@ -183,8 +188,8 @@ impl Output {
         } else {
             io::stdout().is_terminal()
         };
-        let (width, _) = (self.is_process && is_terminal).then(terminal::size)?.ok()?;
-        Some(width.into()).filter(|width| *width >= LEAST_WIDTH)
+        let (width, _) = (self.is_process && is_terminal).then(terminal_size)??;
+        Some(width).filter(|width| *width >= LEAST_WIDTH)
     }
 
     /// Checks that everything was written; prints the problems that were reported since the last object.
@@ -227,8 +232,8 @@ impl Output {
     /// Width of the terminal on stdout, characters, without the last column: some terminals wrap after it.
     pub(crate) fn width(&self) -> Option<usize> {
         let is_terminal = self.is_process && io::stdout().is_terminal();
-        let (width, _) = is_terminal.then(terminal::size)?.ok()?;
-        Some(usize::from(width).saturating_sub(1))
+        let (width, _) = is_terminal.then(terminal_size)??;
+        Some(width.saturating_sub(1))
     }
 
     /// Prints a line that the next one replaces, on a terminal, cut to its width.

@@ -9,7 +9,7 @@ use kit::{Background, Simulator, folder, record_until, wait_until, wimu};
 use serde_json::Value;
 
 use crate::dashboard::Served;
-use crate::screens::{Terminal, USUAL, UTF8};
+use crate::screens::{Terminal, USUAL};
 
 /// 400 samples a second, 25 batches.
 const BOARD: [&str; 4] = ["--motion", "twelve-poses", "--speed", "4"];
@@ -67,7 +67,7 @@ fn ticks(time_s: &Value) -> i64 {
 /// Sequence numbers that `monitor --json` prints in a terminal.
 fn monitored(link: &str, folder: &Path) -> Vec<u64> {
     let arguments = ["monitor", link, "--json", "--for", "4"];
-    let mut terminal = Terminal::start(&arguments, folder, USUAL, &UTF8);
+    let mut terminal = Terminal::start(&arguments, folder, USUAL);
     assert!(terminal.ends().success());
     let written = String::from_utf8(terminal.bytes()).expect("text");
     let objects = written.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());

@@ -11,9 +11,10 @@ use super::poses::{LivePoses, News, Plan, Uncertainty};
 use crate::Result;
 use crate::calibration::{self, CalibrateOptions, CalibrationReport};
 use crate::client::Client;
+use crate::decode::Arrival;
 use crate::live::Heard;
 use crate::problem;
-use crate::recording::Selection;
+use crate::recording::{Recording, Selection};
 use crate::stats::norm;
 use crate::transport::Transport;
 
@@ -94,8 +95,8 @@ pub struct Guided {
     poses_file: PathBuf,
     /// File of the calibration.
     file: PathBuf,
-    /// Whether a usable result is written at once.
-    pub writes: bool,
+    /// Whether poses are saved after each capture.
+    pub saves: bool,
     written: bool,
     /// Whether a file of an earlier session may be overwritten.
     overwrite: bool,
@@ -132,14 +133,14 @@ impl Guided {
         view.resumable = poses_file.exists();
         view.message = match view.resumable {
             true => format!("{} has poses of an earlier session", poses_file.display()),
-            false => "hold the board as drawn on the left, or in any other orientation".to_owned(),
+            false => "hold the board as suggested, or in any other orientation".to_owned(),
         };
         Ok(Self {
             options,
             name: name.to_owned(),
             poses_file,
             file: file.to_owned(),
-            writes: false,
+            saves: true,
             written: false,
             overwrite: false,
             unsaved: None,
@@ -165,11 +166,16 @@ impl Guided {
     /// Takes what a link has received; returns whether a pose was captured.
     pub fn take(&mut self, heard: &Heard) -> bool {
         self.view.lost = heard.lost.as_ref().map(|error| error.text.clone());
+        self.take_arrivals(&heard.arrivals)
+    }
+
+    /// Takes what has arrived; returns whether a pose was captured.
+    pub fn take_arrivals(&mut self, arrivals: &[Arrival]) -> bool {
         if self.report.is_some() {
             return false;
         }
         let mut any = false;
-        for arrival in &heard.arrivals {
+        for arrival in arrivals {
             let (mut message, mut captured) = (None, false);
             self.live.take(arrival, |live, news| match news {
                 News::Ready => {}
@@ -203,6 +209,9 @@ impl Guided {
 
     /// Saves the poses after a change.
     fn save(&mut self) {
+        if !self.saves {
+            return;
+        }
         if self.live.poses().is_empty() {
             let _ = std::fs::remove_file(&self.poses_file);
             return;
@@ -253,26 +262,33 @@ impl Guided {
         self.report.is_none() && self.live.is_complete() && is_new
     }
 
-    /// Computes the result of the poses so far.
-    pub fn calibrate(&mut self) {
+    /// All samples so far.
+    ///
+    /// # Errors
+    /// Those of [`LivePoses::recording`].
+    pub fn recording(&self) -> Result<Recording> {
+        self.live.recording(&self.name)
+    }
+
+    /// Computes the result of the poses so far; the view shows it, or why there is none.
+    ///
+    /// # Errors
+    /// Those of [`calibration::calibrate`].
+    pub fn calibrate(&mut self) -> Result<()> {
         self.tried = Some(self.live.poses().len());
-        let report = self.live.recording(&self.name).and_then(|data| {
+        let report = self.recording().and_then(|data| {
             calibration::calibrate(&data.samples(Selection::default())?, &self.options)
         });
-        match report {
-            Ok(report) => {
-                self.view.usable = report.outcome.exit_code() == 0;
-                let findings = problem::text(&report.outcome.findings, usize::MAX);
-                self.view.result = Some(format!("{report}\n{findings}"));
-                self.view.pushed = false;
-                self.report = Some(report);
-                self.view.message = String::new();
-                if self.view.usable && self.writes {
-                    self.write(false);
-                }
-            }
-            Err(error) => self.view.message = format!("no calibration: {}", error.text),
-        }
+        let report = report.inspect_err(|error| {
+            self.view.message = format!("no calibration: {}", error.text);
+        })?;
+        self.view.usable = report.outcome.exit_code() == 0;
+        let findings = problem::text(&report.outcome.findings, usize::MAX);
+        self.view.result = Some(format!("{report}\n{findings}"));
+        self.view.pushed = false;
+        self.report = Some(report);
+        self.view.message = String::new();
+        Ok(())
     }
 
     /// Goes back to the poses for [`MORE`].
@@ -346,29 +362,32 @@ impl Guided {
     pub fn end(&self) -> Option<String> {
         if self.report.is_some() {
             if self.view.pushed || self.written {
-                let _ = std::fs::remove_file(&self.poses_file);
+                self.forget_poses();
             }
             return None;
         }
         Some(match (self.live.poses().len(), &self.unsaved) {
             (0, _) => "no pose was captured".to_owned(),
-            (count, None) => format!(
+            (_, Some(error)) => format!("the poses are not saved: {error}"),
+            (count, None) if self.saves => format!(
                 "{} saved in {}; --resume continues there",
                 crate::plural::counted(count, "pose"),
                 self.poses_file.display()
             ),
-            (_, Some(error)) => format!("the poses are not saved: {error}"),
+            (count, None) => format!("{} not saved", crate::plural::counted(count, "pose")),
         })
+    }
+
+    /// Removes the saved poses.
+    pub fn forget_poses(&self) {
+        if self.saves {
+            let _ = std::fs::remove_file(&self.poses_file);
+        }
     }
 
     /// The result, once it is computed.
     pub fn report(&self) -> Option<&CalibrationReport> {
         self.report.as_ref()
-    }
-
-    /// File of the calibration, once it is written.
-    pub fn written(&self) -> Option<&Path> {
-        self.written.then_some(&*self.file)
     }
 }
 

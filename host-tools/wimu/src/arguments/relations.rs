@@ -102,10 +102,6 @@ const INPUTS: [(&str, &str); 23] = [
     ("survey", FILE),
 ];
 
-/// Options of `monitor --navigate`.
-const AIDS: [&str; 7] =
-    ["profile", "fixes", "fix-delay", "lever-arm", "anchors", "ranges", "range-errors"];
-
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.
 const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
 
@@ -130,10 +126,6 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
         .collect();
     for table in TABLES.iter().filter(|table| table.command == name) {
         by_value(table, matches, &given)?;
-    }
-    let aid = AIDS.iter().find(|option| given.contains(option));
-    if let ("monitor", false, Some(option)) = (name, given.contains(&"navigate"), aid) {
-        return Err(usage(format!("--{option} needs --navigate"), "add it, or leave both out"));
     }
     if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
         && !given.contains(&"geometry")

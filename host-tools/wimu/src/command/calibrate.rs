@@ -1,8 +1,7 @@
 //! `wimu calibrate`.
 
 mod array;
-mod guided;
-mod live;
+mod guide;
 mod magnetometer;
 
 use std::fmt::Display;
@@ -20,9 +19,8 @@ use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::{ParameterSet, Sensitivity};
 
 use crate::arguments::{Calibrate, Calibrated, Method};
-use crate::command::{Connection, connect_for, not_over_input, params};
+use crate::command::{Connection, connect_for, not_over_input};
 use crate::output::{Output, usage};
-use crate::screen::Screen;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
@@ -138,26 +136,13 @@ fn reading(arguments: &Calibrate) -> (ReadOptions, Selection) {
 fn with_gravity(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let options = options(arguments)?;
     let (load, selection) = reading(arguments);
-    let mut client = None;
     let data = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => formats::load(&path, &load)?,
-        Input::Link(_) if Screen::is_possible(output) => {
-            return guided::run(arguments, &options, output);
-        }
-        Input::Link(_) => {
-            let client = client.insert(connect_for(&arguments.input, arguments.push)?);
-            live::collect(client, arguments, &options, output)?
-        }
+        Input::Link(_) => return guide::run(arguments, &options, output),
     };
     let report = calibration::calibrate(&data.samples(selection)?, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page())?;
-        match (&mut client, &report.parameters) {
-            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
-            _ => Ok(()),
-        }
-    })
+    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
 }
 
 /// Calibrates with several sessions of one sensor.

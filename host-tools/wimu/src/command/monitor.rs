@@ -1,11 +1,12 @@
 //! `wimu monitor`.
 
 use std::cmp::Reverse;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::json;
 use wimu_host::authentication::Authentication;
-use wimu_host::decode::{Decoder, Event};
+use wimu_host::decode::{Decoder, Event, LinkStatistics};
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::monitor::{Reading, Readings};
@@ -17,11 +18,9 @@ use wimu_model::ParameterId;
 use crate::arguments::Monitor;
 use crate::command::info::{SAFE_MODE, Sampling};
 use crate::command::record::left_out_text;
-use crate::command::{connect, listen_until};
-use crate::output::{Output, usage};
-use crate::screen::Screen;
-
-mod live;
+use crate::command::{connect, deadline, interrupted, is_over};
+use crate::output::Output;
+use crate::text_view::TextView;
 
 /// One reading as JSON.
 #[derive(Clone, Debug, Serialize)]
@@ -91,6 +90,18 @@ impl Line {
         self.parameter_id.as_ref().is_some_and(|id| *id != uncalibrated)
     }
 
+    /// The parts as rows with their names.
+    fn rows(&self) -> Vec<String> {
+        let parts = self.parts().into_iter();
+        let mut rows: Vec<String> =
+            parts.map(|(_, name, text)| format!("{name:12} {}", text.trim())).collect();
+        let corrected = self.corrected && self.is_calibrated();
+        let state = if corrected { "corrected" } else { "nominal sensitivity" };
+        let id = self.parameter_id.as_deref().filter(|_| self.is_calibrated());
+        rows.push(format!("{:12} {} ({state})", "parameters", id.unwrap_or("none: uncalibrated")));
+        rows
+    }
+
     /// The most important parts that fit into `width` characters.
     fn text(&self, width: Option<usize>) -> String {
         let parts = self.parts();
@@ -98,50 +109,50 @@ impl Line {
         let mut kept: Vec<usize> = (0..parts.len()).collect();
         kept.sort_by_key(|&at| Reverse(parts[at].0));
         kept.retain(|&at| {
-            let left = room.checked_sub(parts[at].1.chars().count());
+            let left = room.checked_sub(parts[at].2.chars().count());
             room = left.unwrap_or(room);
             left.is_some()
         });
         kept.sort();
-        kept.into_iter().map(|at| parts[at].1.as_str()).collect()
+        kept.into_iter().map(|at| parts[at].2.as_str()).collect()
     }
 
-    /// The parts of a line in order, each with its importance.
-    fn parts(&self) -> Vec<(u8, String)> {
+    /// The parts of a line in order, each with its importance and name.
+    fn parts(&self) -> Vec<(u8, &'static str, String)> {
         let [x, y, z] = self.specific_force_m_s2;
         let norm = (x * x + y * y + z * z).sqrt();
         let mut parts = vec![
-            (9, format!("{:7.2} s", self.time_s)),
-            (8, format!("  f {x:+7.3} {y:+7.3} {z:+7.3} m/s²")),
-            (3, format!("  |f| {norm:7.3}")),
+            (9, "time", format!("{:7.2} s", self.time_s)),
+            (8, "force", format!("  f {x:+7.3} {y:+7.3} {z:+7.3} m/s²")),
+            (3, "magnitude", format!("  |f| {norm:7.3}")),
         ];
         if let Some([x, y, z]) = self.angular_rate_rad_s {
-            parts.push((5, format!("  ω {x:+7.3} {y:+7.3} {z:+7.3} rad/s")));
+            parts.push((5, "rate", format!("  ω {x:+7.3} {y:+7.3} {z:+7.3} rad/s")));
         }
         if let Some(quaternion) = self.quaternion {
             let [roll, pitch, yaw] = euler_deg(quaternion);
             let text = format!("  roll {roll:+4.0}° pitch {pitch:+3.0}° yaw {yaw:+4.0}°");
-            parts.push((5, text));
+            parts.push((5, "attitude", text));
         }
         if let Some([x, y, z]) = self.magnetic_field_ut {
             let calibrated = self.magnetic_field_calibrated == Some(true);
             let note = if calibrated { "" } else { " uncalibrated" };
-            parts.push((1, format!("  B {x:+6.1} {y:+6.1} {z:+6.1} µT{note}")));
+            parts.push((1, "field", format!("  B {x:+6.1} {y:+6.1} {z:+6.1} µT{note}")));
         }
         if let Some(heading) = self.heading_deg {
             let sd = self.heading_sd_deg;
             let sd = sd.map_or("° uncalibrated".to_owned(), |sd| format!(" ± {sd:.0}°"));
-            parts.push((4, format!("  heading {heading:3.0}{sd}")));
+            parts.push((4, "heading", format!("  heading {heading:3.0}{sd}")));
         }
         if let Some(celsius) = self.temperature_c {
-            parts.push((2, format!("  {celsius:.1} °C")));
+            parts.push((2, "temperature", format!("  {celsius:.1} °C")));
         }
         if let Some(phase) = &self.phase {
             let invalid = self.valid == Some(false);
             let note = if invalid { " (invalid)" } else { "" };
-            parts.push((7, format!("  {phase}{note}")));
+            parts.push((7, "motion", format!("  {phase}{note}")));
             if let Some([e, n, u]) = self.position_m.filter(|_| phase != "searching") {
-                parts.push((6, format!("  p {e:+.3} {n:+.3} {u:+.3} m")));
+                parts.push((6, "position", format!("  p {e:+.3} {n:+.3} {u:+.3} m")));
             }
         }
         parts
@@ -158,14 +169,7 @@ pub fn euler_deg([w, x, y, z]: [f64; 4]) -> [f64; 3] {
 
 pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
-        Input::Link(_) if arguments.rate.is_none() && Screen::is_possible(output) => {
-            live::run(arguments, output)
-        }
-        _ if arguments.navigate => Err(usage(
-            "--navigate is for the screen of a LINK",
-            "use `wimu navigate` for lines, --json and recordings",
-        )),
-        Input::Link(_) => lines(arguments, output),
+        Input::Link(_) => live(arguments, output),
         Input::Recording(path) => recorded(&path, arguments.rate, output),
         Input::File(_) => Err(Code::UnknownFormat.error("monitor does not read files of other programs",
             "give a LINK or a recording of wimu; `wimu simulate --replay` streams counts of a table",
@@ -174,11 +178,12 @@ pub fn run(arguments: &Monitor, output: &Output) -> Result<()> {
     }
 }
 
-fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
+/// Shows a board until Ctrl-C: rows at a terminal, lines elsewhere and with `--rate`.
+fn live(arguments: &Monitor, output: &Output) -> Result<()> {
     let mut client = connect(&arguments.input)?;
     let hello = *client.hello();
     let mut authentication = Authentication::new(client.verify());
-    output.print(format!(
+    let device = format!(
         "{} with {}, device {:016x}, {} link, parameters {}, last start: {}",
         hello.board.name,
         hello.sensor.name,
@@ -186,15 +191,42 @@ fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
         hello.role,
         hello.parameter_id,
         cause(&hello)
-    ));
+    );
+    output.print(&device);
+    let mut view = if arguments.rate.is_none() { TextView::open(output) } else { None };
     let mut readings = Readings::new();
     let mut lines = Lines::new(arguments.rate, output);
-    listen_until(&mut client, arguments.seconds, |arrival| {
-        if let Some(finding) = authentication.see(arrival) {
-            output.findings(std::slice::from_ref(finding));
+    let (mut latest, mut message) = (None, String::new());
+    let (stop, end, began) = (interrupted()?, deadline(arguments.seconds), Instant::now());
+    while !is_over(end, &stop) {
+        let arrival = client.next_event(Duration::from_millis(100))?;
+        let finding = arrival.as_ref().and_then(|arrival| authentication.see(arrival));
+        let Some(view) = &mut view else {
+            output.findings(finding.map(std::slice::from_ref).unwrap_or_default());
+            if arrival.is_some_and(|arrival| !lines.show(&arrival.event, &mut readings)) {
+                break;
+            }
+            continue;
+        };
+        if let Some(finding) = finding {
+            message = finding.to_string();
         }
-        Ok(lines.show(&arrival.event, &mut readings))
-    })?;
+        if let Some(arrival) = arrival {
+            notice(&arrival.event, &mut message);
+            readings.push(&arrival.event, |reading| latest = Some(reading));
+        }
+        let drawn = || {
+            let traffic = traffic(&client.statistics(), began.elapsed());
+            let rows = latest.as_ref().map(|reading| Line::from(reading).rows());
+            let rows = rows.unwrap_or(vec!["waiting for samples".to_owned()]);
+            let ends = [traffic, String::new(), message.clone(), "Ctrl-C quits".to_owned()];
+            [vec![device.clone(), String::new()], rows, ends.to_vec()].concat()
+        };
+        if !view.draw(drawn) {
+            break;
+        }
+    }
+    drop(view);
     let statistics = client.statistics();
     output.print(format!(
         "{} frames, {} damaged{}; {} samples missing",
@@ -208,6 +240,22 @@ fn lines(arguments: &Monitor, output: &Output) -> Result<()> {
     }
     lines.end(&authentication);
     Ok(())
+}
+
+/// Rate and loss of a link since it was opened.
+fn traffic(statistics: &LinkStatistics, open: Duration) -> String {
+    let stream = match statistics.raw.received {
+        0 => statistics.corrected,
+        _ => statistics.raw,
+    };
+    let lost = stream.missing as f64 / (stream.received + stream.missing).max(1) as f64;
+    format!(
+        "link         {:.1} samples/s, {:.2} % lost, {} damaged frames, {:.1} kB/s",
+        stream.received as f64 / open.as_secs_f64(),
+        100.0 * lost,
+        statistics.frames_damaged,
+        statistics.bytes as f64 / 1e3 / open.as_secs_f64()
+    )
 }
 
 fn recorded(path: &std::path::Path, rate: Option<f64>, output: &Output) -> Result<()> {
@@ -242,7 +290,7 @@ fn recorded(path: &std::path::Path, rate: Option<f64>, output: &Output) -> Resul
     Ok(())
 }
 
-/// Sets the message of a screen to the device event or restart that an event reports.
+/// Sets the message of a view to the device event or restart that an event reports.
 pub fn notice(event: &Event, message: &mut String) {
     const RESTARTED: &str = "the device has restarted";
     match event {

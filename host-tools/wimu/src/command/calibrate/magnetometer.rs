@@ -4,11 +4,12 @@ use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnet
 use wimu_host::{Code, Result};
 use wimu_model::ParameterSet;
 
-use super::live::collect;
+use super::guide::{begin, collect};
 use super::{finish, read_calibrated, reading, write_page};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;
+use crate::text_view::typed;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
@@ -19,7 +20,11 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
         arguments.with.as_deref(),
         arguments.push,
         calibrated,
-        |client, _| collect(client, arguments, &CalibrateOptions::default(), output),
+        |client, _| {
+            let mut guided = begin(client, arguments, &CalibrateOptions::default())?;
+            collect(client, &mut guided, &typed(), output)?;
+            guided.recording()
+        },
         output,
     )?;
     let data = data.samples(selection)?;

@@ -195,7 +195,7 @@ impl Board {
             Action::Resume => guided.resume()?,
             Action::Skip if !has_result => guided.skip(),
             Action::Undo if !has_result => guided.undo(),
-            Action::Finish if !has_result => guided.calibrate(),
+            Action::Finish if !has_result => guided.calibrate()?,
             Action::More if has_result => guided.more(),
             Action::WriteFile if usable => {
                 guided.write(true);
@@ -234,7 +234,7 @@ impl Board {
             _ => Ok(self.folder.file(name)?.display().to_string()),
         };
         let Aiding { profile, fixes, ranges, anchors } = aiding;
-        let mut words = Vec::from(["wimu", "monitor", &self.name, "--navigate"].map(String::from));
+        let mut words = Vec::from(["wimu", "navigate", &self.name].map(String::from));
         for (option, name) in [("fixes", fixes), ("ranges", ranges), ("anchors", anchors)] {
             if !name.is_empty() {
                 words.push(format!("--{option}={}", source(name)?));
@@ -246,10 +246,10 @@ impl Board {
         let parsed = Arguments::try_parse_from(words).map_err(|error| {
             let text = error.to_string();
             let first = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
-            usage(first, "see `wimu monitor --help`, Aiding")
+            usage(first, "see `wimu navigate --help`, Aiding")
         })?;
         match parsed.command {
-            Command::Monitor(monitor) => Beside::new(&monitor.aids, &self.name),
+            Command::Navigate(navigate) => Beside::new(&navigate.aids, &self.name),
             _ => Err(usage("no aiding", "choose a profile")),
         }
     }

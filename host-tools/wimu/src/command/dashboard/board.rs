@@ -296,7 +296,8 @@ impl Board {
         }
         if let Some(guided) = &mut self.guided {
             if guided.is_due() {
-                guided.calibrate();
+                // The view shows why there is no result.
+                let _ = guided.calibrate();
             }
             guided.refresh();
         }

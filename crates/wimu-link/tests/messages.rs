@@ -189,7 +189,7 @@ fn unknown_missing_and_left_over_bytes_are_told_apart() {
 fn refusals_say_what_to_do() {
     let nearest = Settings::default();
     for (refusal, word) in [
-        (Refusal::KeyNeeded, "run `wimu key set` once over the cable"),
+        (Refusal::KeyNeeded, "run `wimu device key set` once over the cable"),
         (Refusal::Locked, "cable"),
         (Refusal::StoreFailed, "try again"),
         (Refusal::UnsupportedSettings { nearest }, "±2 g at 100 Hz"),

@@ -259,7 +259,7 @@ impl NoiseMeter {
             return Err(Code::NoRows
                 .error(
                     "no raw samples came over the link",
-                    "switch the raw stream on with `wimu settings set`, or use the other link",
+                    "switch the raw stream on with `wimu device settings set`, or use the other link",
                 )
                 .at(&self.name));
         }

@@ -193,7 +193,7 @@ pub fn compare<R: Read>(
         return Err(refused(
             name,
             "the two links have no sample in common",
-            "record both at the same time: `wimu record LINK --cable LINK`",
+            "record both at the same time: `wimu record LINK LINK`",
         ));
     }
     let device_id = overview.recording.devices.first().map(|id| format!("{id:016x}"));

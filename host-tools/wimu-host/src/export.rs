@@ -91,7 +91,7 @@ pub fn to_csv(
         return Err(match source.sensor {
             0 => Code::NoRows.error(
                 message,
-                "export another stream or the other link, or switch the stream on with `wimu settings set`",
+                "export another stream or the other link, or switch the stream on with `wimu device settings set`",
             ),
             sensor => Code::NoRows.error(
                 format!("{message} of sensor {sensor}"),

@@ -324,7 +324,7 @@ fn read(path: &Path) -> Result<Found> {
             .mode();
         if mode & 0o077 != 0 {
             return Err(Code::FileUnreadable.error("others can read this key",
-                "set its mode to 600 (chmod 600), and give the device a new one: wimu key rotate",
+                "set its mode to 600 (chmod 600), and give the device a new one: wimu device key rotate",
             )
             .at(name));
         }
@@ -341,7 +341,7 @@ fn read(path: &Path) -> Result<Found> {
                     2 * DeviceKey::LENGTH,
                     digits.len()
                 ),
-                    "restore the file; if it is lost, remove it, erase the board's key (gesture on its page), and run `wimu key set`",
+                    "restore the file; if it is lost, remove it, erase the board's key (gesture on its page), and run `wimu device key set`",
             )
             .at(name),
         ),

@@ -118,7 +118,7 @@ fn parse_serial(rest: &str) -> Result<LinkUrl, String> {
 fn parse_ble(name: &str, _: &str) -> Result<LinkUrl> {
     let missing = || {
         let message = "the name of the unit is missing";
-        Code::BadLink.error(message, "`wimu ports --probe` lists the units in range")
+        Code::BadLink.error(message, "`wimu device ports --probe` lists the units in range")
     };
     let name = Some(name.trim_end_matches('/')).filter(|name| !name.is_empty());
     let name = name.ok_or_else(missing)?.to_owned();

@@ -124,7 +124,7 @@ pub fn candidates() -> Result<Vec<LinkUrl>> {
         .collect();
     if found.is_empty() {
         Err(Code::LinkAbsent.error("no serial port has the USB id of a known board",
-            "plug the board in, or name its port: `wimu ports` lists them; `wimu simulate` needs none",
+            "plug the board in, or name its port: `wimu device ports` lists them; `wimu simulate` needs none",
         )
         .at("auto"))
     } else {
@@ -285,7 +285,7 @@ fn serial_error(path: &str, baud: u32, error: &serialport::Error) -> Problem {
     };
     let failure = match error.kind() {
         _ if !exists => Code::LinkAbsent.error("there is no such serial port",
-            "plug in the board or adapter (bind a paired Bluetooth adapter: `sudo rfcomm bind 0 ADDRESS`); `wimu ports` lists the ports",
+            "plug in the board or adapter (bind a paired Bluetooth adapter: `sudo rfcomm bind 0 ADDRESS`); `wimu device ports` lists the ports",
         ),
         Kind::Io(ErrorKind::PermissionDenied) if cfg!(unix) => Code::LinkPermission.error("no permission to open the port",
             "join the port's group (`sudo usermod -aG dialout $USER`, on Arch `uucp`) and log in again, or put \

@@ -13,7 +13,10 @@ mod values;
 pub use aids::{Aids, MotionProfile};
 pub use apply::Apply;
 pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
-pub use device::{Carried, Change, Key, KeyAction, Params, Resolution, Settings};
+pub use device::{
+    Board, Carried, Change, Device, Flash, Key, KeyAction, Params, PerLink, Ports, ReportBug,
+    Resolution, Settings,
+};
 pub use fleet::{Fleet, Gateway};
 pub use navigate::{Navigate, Smoothing, ZeroVelocity};
 pub use reading::Reading;
@@ -27,7 +30,6 @@ use clap::{ArgMatches, Args, Parser, Subcommand, ValueEnum};
 use wimu_host::csv::Filter;
 use wimu_host::{Result, StandardInput};
 use wimu_sim::board::SensorPart;
-use wimu_sim::faults::SensorFault;
 
 use self::values::{from_to, seconds};
 use crate::output::usage;
@@ -108,8 +110,6 @@ pub enum Command {
     Demo(Demo),
     /// Run a simulated board that listens on two TCP ports
     Simulate(Simulate),
-    /// List the serial ports of this computer
-    Ports(Ports),
     /// Show readings of a board or a recording
     Monitor(Monitor),
     /// Show boards and recordings in the browser: plots, calibration, parameters
@@ -128,55 +128,26 @@ pub enum Command {
     Align(Align),
     /// Estimate noise density and bias instability of an accelerometer at rest
     Allan(Allan),
-    /// Read, write or erase the calibration on a device
-    Params {
-        #[command(subcommand)]
-        action: Params,
-    },
-    /// Read or change the settings of a device
-    Settings {
-        #[command(subcommand)]
-        action: Settings,
-    },
-    /// Manage the key that signs writes to a device
-    Key(Key),
     /// Compare wireless and cable: loss, latency, clock, values
     Compare(Compare),
     /// Compute velocity and position with their uncertainty
     Navigate(Box<Navigate>),
-    /// Serve many boards: record them, and publish them through an MQTT broker
-    Gateway(Gateway),
-    /// Show the boards of a fleet, or push calibrations to them
+    /// What happens on a board: ports, parameters, settings, key, firmware
+    Device {
+        #[command(subcommand)]
+        action: Device,
+    },
+    /// Many boards through an MQTT broker
     Fleet {
         #[command(subcommand)]
         action: Fleet,
     },
-    /// Write firmware to a board through its debug probe
-    Flash(Flash),
-    /// Write a file for a bug report: answers and bytes of a link
-    ReportBug(ReportBug),
     /// Print the completion script of a shell
+    #[command(hide = true)]
     Completions(Completions),
     /// Write manual pages
+    #[command(hide = true)]
     Man(Man),
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-Example: wimu report-bug /dev/ttyACM0 --cable /dev/ttyUSB0
-The file is JSON: version, operating system, serial ports, answers of the board, received bytes. It has no key.")]
-pub struct ReportBug {
-    /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
-    pub link: String,
-    /// A second link of the same board
-    #[arg(long, value_name = "LINK")]
-    pub cable: Option<String>,
-    /// File to write
-    #[arg(short, long, value_name = "FILE.json", default_value = "wimu-bug-report.json")]
-    pub output: PathBuf,
-    /// Time to listen, s
-    #[arg(long = "for", value_name = "SECONDS", default_value = "30", value_parser = seconds)]
-    pub seconds: Duration,
 }
 
 #[derive(Args)]
@@ -198,53 +169,13 @@ pub struct Man {
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
-  wimu flash microbit-v2
-  wimu flash --list
-  wimu flash pico-adxl345 --image my.elf --probe 2e8a:000c
-
-Without a probe, copy the image to the drive that the board shows. The calibration is kept, except \
-when --erase-all unlocks a locked chip.")]
-pub struct Flash {
-    /// Board to write
-    #[arg(value_enum, required_unless_present = "list")]
-    pub board: Option<Board>,
-    /// Firmware image: ELF, Intel HEX or UF2 [default: the one that `cargo xtask firmware` wrote]
-    #[arg(long, value_name = "FILE")]
-    pub image: Option<PathBuf>,
-    /// Debug probe to use, if there are several
-    #[arg(long, value_name = "VENDOR:PRODUCT[:SERIAL]")]
-    pub probe: Option<String>,
-    /// List the connected debug probes
-    #[arg(long)]
-    pub list: bool,
-    /// Unlock a locked chip; this erases its firmware, calibration and key
-    #[arg(long)]
-    pub erase_all: bool,
-}
-
-/// Boards that are written through a debug probe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Board {
-    /// BBC micro:bit v2
-    MicrobitV2,
-    /// Raspberry Pi Pico with an ADXL345
-    #[value(name = "pico-adxl345")]
-    PicoAdxl345,
-    /// Nordic nRF52840 DK with an LSM6DSO, over Bluetooth Low Energy
-    #[value(name = "nrf52840-ble")]
-    Nrf52840Ble,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-Examples:
   wimu demo --seed 7
-  wimu demo --sensor lsm6dso
-  wimu demo --localize --files walks")]
+  wimu demo --chip lsm6dso
+  wimu demo --localize walks")]
 pub struct Demo {
     /// Sensor on the board
-    #[arg(long, value_enum, default_value_t = Sensor::Lsm303agr)]
-    pub sensor: Sensor,
+    #[arg(long, value_enum, default_value_t = Chip::Lsm303agr)]
+    pub chip: Chip,
     /// Seed of the simulated sensor's errors and noise
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -254,12 +185,10 @@ pub struct Demo {
     /// Write the pictures to this folder, as SVG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
-    /// Localize simulated walks instead: ranges to anchors, a unit on a shoe, position fixes
-    #[arg(long, conflicts_with = "sensor")]
-    pub localize: bool,
-    /// Write the simulated recordings of --localize to this folder, as CSV
-    #[arg(long, value_name = "FOLDER", requires = "localize")]
-    pub files: Option<PathBuf>,
+    /// Localize simulated walks instead: ranges to anchors, a unit on a shoe, position fixes; and write their files to this
+    /// folder
+    #[arg(long, value_name = "FOLDER", num_args = 0..=1, conflicts_with = "chip")]
+    pub localize: Option<Option<PathBuf>>,
 }
 
 #[derive(Args)]
@@ -283,22 +212,23 @@ FAULTS is a list of presets and faults:
   bias=10/-5/3mg          added to the samples of X/Y/Z; one number for all axes
   scale=0.5/0/-0.5%       scale factor error of X/Y/Z, in % or ppm; one number for all axes
   noise=2mg               standard deviation of noise added to each axis
+Faults of the board itself:
+  absent, identity        the sensor does not answer, or has the WHO_AM_I of another chip
+  gyroscope-stops=2s@10s  likewise gyroscope-stuck, gyroscope-saturates; duration and start as for stalls
+  clock=35ppm             rate error of the board's clock, positive if it is fast; at most 10000
+  press=3s                the board's button is pressed at this time
 
 Examples:
   wimu simulate --motion twelve-poses,slide --seed 3
   wimu simulate --replay recording.csv --speed 10 --exit-when-done
-  wimu simulate --sensor lsm6dso --motion carry,hand --sensor-fault gyroscope-stops=2s@10s
-  wimu simulate --faults noisy --clock-ppm 35
+  wimu simulate --chip lsm6dso --motion carry,hand --faults gyroscope-stops=2s@10s
+  wimu simulate --faults noisy,clock=35ppm
   wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
   wimu simulate --faults other-unit --faults cable:latency=2ms")]
 pub struct Simulate {
     /// Sensor on the board, or lsm303agr,adxl345: two accelerometers, the second of ± 16 g; either may be the first
     #[arg(long, value_enum, value_delimiter = ',', default_value = "lsm303agr")]
-    pub sensor: Vec<Sensor>,
-    /// Fault of the sensor, may be given again: absent, identity (WHO_AM_I of another chip),
-    /// gyroscope-stops, gyroscope-stuck or gyroscope-saturates, with duration and start as for stalls
-    #[arg(long, value_name = "FAULT=3s@30s")]
-    pub sensor_fault: Vec<SensorFault>,
+    pub chip: Vec<Chip>,
     /// Motions of the board, in order and repeated: rest, six-positions, twelve-poses, tilts, slide,
     /// carry, hand, impact
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
@@ -309,9 +239,9 @@ pub struct Simulate {
     /// Rows of the CSV file to use: those whose columns have these values, such as "IMU=0"
     #[arg(long = "where", value_name = "COLUMN=VALUE,…", requires = "replay")]
     pub filter: Option<Filter>,
-    /// Number (from 0) of the accelerometer in a CSV file that has several
-    #[arg(long, value_name = "N", requires = "replay")]
-    pub accelerometer: Option<u8>,
+    /// Index of the accelerometer in a CSV file that has several
+    #[arg(long, value_name = "INDEX", requires = "replay")]
+    pub sensor: Option<u8>,
     /// Seed of the sensor's errors and noise, and the board's serial number
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -327,25 +257,19 @@ pub struct Simulate {
     /// Address of the wireless link
     #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
     pub wireless: SocketAddr,
-    /// Link faults, see FAULTS below; of the wireless link unless preceded by `cable:`
+    /// Faults, see FAULTS below; those of a link are of the wireless one unless preceded by `cable:`
     #[arg(long, value_name = "[LINK:]FAULT=VALUE,…")]
     pub faults: Vec<String>,
-    /// Rate error of the board's clock, ppm, positive if it is fast; at most ± 10000
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = from_to(-1e4, 1e4))]
-    pub clock_ppm: f64,
     /// Speed of the simulated time relative to real time, at most 1000
     #[arg(long, default_value_t = 1.0, value_parser = from_to(1e-3, 1e3))]
     pub speed: f64,
-    /// Times at which the board's button is pressed, s after its start
-    #[arg(long, value_name = "SECONDS,…", value_delimiter = ',', value_parser = from_to(0.0, 1e9))]
-    pub press: Vec<f64>,
     /// Stop at the end of the motion or of the replayed file
     #[arg(long)]
     pub exit_when_done: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Sensor {
+pub enum Chip {
     /// Accelerometer, magnetometer and temperature sensor
     Lsm303agr,
     /// Accelerometer with a FIFO
@@ -354,22 +278,14 @@ pub enum Sensor {
     Lsm6dso,
 }
 
-impl From<Sensor> for SensorPart {
-    fn from(sensor: Sensor) -> Self {
-        match sensor {
-            Sensor::Lsm303agr => Self::Lsm303agr,
-            Sensor::Adxl345 => Self::Adxl345,
-            Sensor::Lsm6dso => Self::Lsm6dso,
+impl From<Chip> for SensorPart {
+    fn from(chip: Chip) -> Self {
+        match chip {
+            Chip::Lsm303agr => Self::Lsm303agr,
+            Chip::Adxl345 => Self::Adxl345,
+            Chip::Lsm6dso => Self::Lsm6dso,
         }
     }
-}
-
-#[derive(Args)]
-#[command(after_help = "Example: wimu ports --probe")]
-pub struct Ports {
-    /// Open the ports that look like a board and identify it, 1 s each
-    #[arg(long)]
-    pub probe: bool,
 }
 
 #[derive(Args)]
@@ -421,14 +337,12 @@ pub struct Dashboard {
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu record tcp://127.0.0.1:7101 --cable tcp://127.0.0.1:7100 -o session.mcap
+Example: wimu record tcp://127.0.0.1:7101 tcp://127.0.0.1:7100 -o session.mcap
 Ctrl-C ends the recording.")]
 pub struct Record {
-    /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
-    pub link: String,
-    /// A second link of the same board, recorded with the first
-    #[arg(long, value_name = "LINK")]
-    pub cable: Option<String>,
+    /// One link of a board, or both
+    #[arg(value_name = "LINK", required = true, num_args = 1..=2)]
+    pub links: Vec<String>,
     /// Recording to write
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: PathBuf,

@@ -24,7 +24,7 @@ use clap::{CommandFactory, FromArgMatches};
 use wimu_host::Result;
 use wimu_host::untrusted::printable;
 
-use crate::arguments::{Arguments, Command};
+use crate::arguments::{Arguments, Command, Device};
 use crate::output::usage;
 
 pub use crate::output::Output;
@@ -86,19 +86,13 @@ fn dispatch(command: Command, output: &Output) -> Result<u8> {
         Command::Apply(arguments) => command::apply::run(&arguments, output),
         Command::Demo(arguments) => command::demo::run(&arguments, output),
         Command::Simulate(arguments) => command::simulate::run(&arguments, output),
-        Command::Ports(arguments) => command::ports::run(&arguments, output),
         Command::Monitor(arguments) => command::monitor::run(&arguments, output),
         Command::Dashboard(arguments) => command::dashboard::run(&arguments, output),
         Command::Record(arguments) => command::record::run(&arguments, output),
         Command::Info(arguments) => command::info::run(&arguments, output),
         Command::Compare(arguments) => command::compare::run(&arguments, output),
-        Command::Flash(arguments) => command::flash::run(&arguments, output),
         Command::Export(arguments) => command::export::run(&arguments, output),
-        Command::Params { action } => command::params::run(&action, output),
-        Command::Key(arguments) => command::key::run(&arguments, output),
-        Command::Settings { action } => command::settings::run(&action, output),
-        Command::ReportBug(arguments) => command::report_bug::run(&arguments, output),
-        Command::Gateway(arguments) => command::gateway::run(&arguments, output),
+        Command::Device { action } => device(&action, output),
         Command::Fleet { action } => command::fleet::run(&action, output),
         Command::Completions(arguments) => command::manual::completions(&arguments, output),
         Command::Man(arguments) => command::manual::man(&arguments, output),
@@ -107,13 +101,26 @@ fn dispatch(command: Command, output: &Output) -> Result<u8> {
     .map(|()| 0)
 }
 
-/// The names of a command and of its action, such as `params push`.
-fn command_name(matches: &clap::ArgMatches) -> String {
-    let Some((name, inner)) = matches.subcommand() else { return String::new() };
-    match inner.subcommand() {
-        Some((action, _)) => format!("{name} {action}"),
-        None => name.to_owned(),
+fn device(action: &Device, output: &Output) -> Result<()> {
+    match action {
+        Device::Ports(arguments) => command::ports::run(arguments, output),
+        Device::Info { link } => command::info::board(link, output),
+        Device::Params { action } => command::params::run(action, output),
+        Device::Settings { action } => command::settings::run(action, output),
+        Device::Key(arguments) => command::key::run(arguments, output),
+        Device::Flash(arguments) => command::flash::run(arguments, output),
+        Device::ReportBug(arguments) => command::report_bug::run(arguments, output),
     }
+}
+
+/// The names of a command and of its actions, such as `device params push`.
+fn command_name(mut matches: &clap::ArgMatches) -> String {
+    let mut names = Vec::new();
+    while let Some((name, inner)) = matches.subcommand() {
+        names.push(name);
+        matches = inner;
+    }
+    names.join(" ")
 }
 
 /// Prints help, version or a usage error of clap; with `--json` an error is an object.

@@ -53,8 +53,9 @@ fn navigate(recording: &str, geometry: &str) -> Ran {
 #[test]
 fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
     let folder = folder();
-    let boards: Vec<Simulator> =
-        ["50", "-80"].map(|ppm| Simulator::start(&["--motion", "rest", "--clock-ppm", ppm])).into();
+    let boards: Vec<Simulator> = ["clock=50ppm", "clock=-80ppm"]
+        .map(|clock| Simulator::start(&["--motion", "rest", "--faults", clock]))
+        .into();
     let files: Vec<String> = ["a.mcap", "b.mcap"]
         .map(|name| folder.path().join(name).to_str().unwrap().to_owned())
         .into();

@@ -40,8 +40,8 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
     fs::write(&holds, six_short_holds()).expect("writable");
     // 1.1 s into each hold.
     let presses: Vec<_> =
-        (0..6).map(|side| format!("{:.1}", 1.6 + 1.8 * f64::from(side))).collect();
-    let board = Simulator::start(&["--replay", &holds, "--press", &presses.join(",")]);
+        (0..6).map(|side| format!("press={:.1}s", 1.6 + 1.8 * f64::from(side))).collect();
+    let board = Simulator::start(&["--replay", &holds, "--faults", &presses.join(",")]);
     let ran = wimu(&["calibrate", &board.cable, "--method", "six-position"]);
     let report = ran.succeeds();
     assert_eq!(report["poses"], 6, "{report}");
@@ -54,7 +54,13 @@ fn a_press_takes_a_side_that_is_held_and_six_of_them_are_a_calibration() {
 #[cfg(unix)]
 #[test]
 fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
-    let board = Simulator::start(&["--motion", "rest", "--exit-when-done", "--press", "3,4"]);
+    let board = Simulator::start(&[
+        "--motion",
+        "rest",
+        "--exit-when-done",
+        "--faults",
+        "press=3s,press=4s",
+    ]);
     let calibrating = Background::start(&["calibrate", &board.cable]);
     let ran = calibrating.prints(ADVICE, 4).signal("-INT");
     // At first, after the pose, and after each press.
@@ -70,7 +76,7 @@ fn a_press_while_nothing_new_is_held_skips_what_is_advised() {
 fn a_press_is_a_mark_in_the_recording_and_on_the_screen() {
     // The board waits for the recorder, which records until the board is gone.
     let pace = ["--motion", "rest", "--speed", "10", "--exit-when-done"];
-    let board = Simulator::start(&[&pace[..], &["--press", "2.5,1.5"]].concat());
+    let board = Simulator::start(&[&pace[..], &["--faults", "press=2.5s,press=1.5s"]].concat());
     let (recording, _folder) = in_folder("marked.mcap");
     board.record_to_the_end(&recording);
     let info = wimu(&["info", &recording]).succeeds();
@@ -83,8 +89,8 @@ fn a_press_is_a_mark_in_the_recording_and_on_the_screen() {
 
 #[test]
 fn a_press_at_no_time_is_refused() {
-    for time in ["-1", "soon", "nan"] {
-        let option = format!("--press={time}");
+    for time in ["-1s", "soon", "nans", "3"] {
+        let option = format!("--faults=press={time}");
         let ran = wimu(&["simulate", &option, "--motion", "rest"]);
         assert_eq!(ran.code, 2, "{time}: {ran:?}");
     }

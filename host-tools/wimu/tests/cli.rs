@@ -109,13 +109,13 @@ fn a_bug_report_has_the_answers_and_bytes_of_both_links_and_no_key() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
-    Background::start_as(&user, &["key", "set", &board.cable]).finish().succeeds();
+    Background::start_as(&user, &["device", "key", "set", &board.cable]).finish().succeeds();
     let key = fs::read_dir(user.join("wimu/keys")).unwrap().next().unwrap().unwrap().path();
     let key = fs::read_to_string(key).unwrap()[..64].to_owned();
     let file = path("report.json");
-    let links = [board.wireless.as_str(), "--cable", &board.cable];
+    let links = [board.wireless.as_str(), &board.cable];
     let report = |links: &[&str]| {
-        let arguments = [&["report-bug"], links, &["--for", "2", "-o", &file]].concat();
+        let arguments = [&["device", "report-bug"], links, &["--for", "2", "-o", &file]].concat();
         Background::start_as(&user, &arguments).finish().succeeds();
         let text = fs::read_to_string(&file).unwrap();
         assert!(!text.contains(&key));

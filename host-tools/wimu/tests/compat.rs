@@ -265,7 +265,7 @@ fn a_fleet_has_the_frozen_topics_and_keys() {
     let fleet = format!("fleet = \"hall\"\nbroker = \"{url}\"\n[boards]\nleft = \"{link}\"\n");
     let gateway = Gateway::start(folder.path(), &fleet);
     let remote = format!("mqtt://127.0.0.1:{}/hall/left", broker.port);
-    wait_until("the board's answer", || wimu(&["settings", "get", &remote]).code == 0);
+    wait_until("the board's answer", || wimu(&["device", "settings", "get", &remote]).code == 0);
     wait_until("all topics", || heard.lock().unwrap().len() == 4);
     gateway.stop();
     let mut found = String::new();

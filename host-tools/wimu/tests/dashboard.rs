@@ -219,7 +219,7 @@ fn a_page_leads_from_a_board_to_a_pushed_calibration() {
     assert!(!all.contains(&served.token) && !all.contains("keys/"));
     let id = page.topics["board/0/parameters"]["id"].clone();
     drop(served.process);
-    let held = wimu(&["params", "get", &board.cable]).succeeds();
+    let held = wimu(&["device", "params", "get", &board.cable]).succeeds();
     assert_eq!(held["parameter_id"], id);
 }
 

@@ -11,7 +11,7 @@ use kit::{Transcript, folder, snapshot, wimu};
 fn six_axes_give_attitude_and_position_bit_for_bit() {
     let folder = folder();
     let report = folder.path().join("demo.html");
-    let ran = wimu(&["demo", "--sensor", "lsm6dso", "--report", report.to_str().unwrap()]);
+    let ran = wimu(&["demo", "--chip", "lsm6dso", "--report", report.to_str().unwrap()]);
     let object = ran.succeeds();
     assert_eq!(object["replay_exact"], true);
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
@@ -20,7 +20,7 @@ fn six_axes_give_attitude_and_position_bit_for_bit() {
     let metres = ["slide_calibrated_m", "slide_zupt_m"].map(|key| number(&object[key]));
     assert!(metres.iter().all(|error| *error < 0.15), "{metres:?}");
     let mut texts = Transcript::default();
-    texts.text("demo --sensor lsm6dso", &ran);
+    texts.text("demo --chip lsm6dso", &ran);
     // The run time.
     let time = [(r"\d+(\.\d+)? s\b", "# s")];
     snapshot("demo_six_axes", texts.as_str(), &time);
@@ -81,8 +81,7 @@ fn calibrated_ranges_give_a_smaller_error_and_a_sigma_that_holds_it() {
     let folder = folder.path();
     let at = |name: &str| folder.join(name).display().to_string();
     let (report, files) = (at("demo.html"), at(""));
-    let ran =
-        wimu(&["demo", "--localize", "--report", &report, "--pictures", &files, "--files", &files]);
+    let ran = wimu(&["demo", "--localize", &files, "--report", &report, "--pictures", &files]);
     let found = ran.succeeds();
     let number = |pointer: &str| found.pointer(pointer).unwrap().as_f64().unwrap();
     let within = |pointer: &str, range: std::ops::Range<f64>| {

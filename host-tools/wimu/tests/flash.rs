@@ -1,4 +1,4 @@
-//! `wimu flash`, as far as it goes without a board.
+//! `wimu device flash`, as far as it goes without a board.
 
 use crate::kit;
 
@@ -36,15 +36,15 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
     let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
     let qemu = image(folder.path(), 0, 0x2040_0000);
 
-    wimu(&["flash"]).fails(2, "usage");
-    wimu(&["flash", "microbit-v1"]).fails(2, "usage");
+    wimu(&["device", "flash"]).fails(2, "usage");
+    wimu(&["device", "flash", "microbit-v1"]).fails(2, "usage");
     for (image, code) in [(&missing, "file_unreadable"), (&letter, "unknown_format")] {
-        let ran = wimu(&["flash", "microbit-v2", "--image", image]);
+        let ran = wimu(&["device", "flash", "microbit-v2", "--image", image]);
         texts.fails(code, &ran, 2, code);
     }
     for (board, other) in [("microbit-v2", &pico), ("microbit-v2", &qemu), ("pico-adxl345", &qemu)]
     {
-        let ran = wimu(&["flash", board, "--image", other]);
+        let ran = wimu(&["device", "flash", board, "--image", other]);
         let failure = texts.fails(board, &ran, 2, "wrong_image");
         assert_eq!(failure["place"]["at"], other.as_str());
     }
@@ -56,19 +56,19 @@ fn without_a_probe_the_other_procedure_is_described() {
     let mut texts = Transcript::default();
     let folder = tempfile::tempdir().expect("a folder");
     let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
-    let flash = wimu(&["flash", "pico-adxl345", "--image", &pico]);
+    let flash = wimu(&["device", "flash", "pico-adxl345", "--image", &pico]);
     let (exit, code) = match cfg!(feature = "flash") {
         true => (1, "probe_absent"),
         false => (2, "feature_missing"),
     };
     texts.fails("flash", &flash, exit, code);
     if cfg!(feature = "flash") {
-        let list = wimu(&["flash", "--list"]).succeeds();
+        let list = wimu(&["device", "flash", "--list"]).succeeds();
         assert_eq!(list["probes"], serde_json::json!([]));
-        let ran = wimu(&["flash", "pico-adxl345", "--image", &pico, "--probe", "pico"]);
+        let ran = wimu(&["device", "flash", "pico-adxl345", "--image", &pico, "--probe", "pico"]);
         ran.fails(2, "usage");
     } else {
-        let ran = wimu(&["flash", "--list"]);
+        let ran = wimu(&["device", "flash", "--list"]);
         texts.fails("--list", &ran, 2, "feature_missing");
         texts.check("flash_without_feature");
     }

@@ -104,7 +104,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let board = Simulator::start(&["--store", store.to_str().unwrap(), "--motion", "rest"]);
     let owner = folder.path().join("owner");
     let run = |arguments: &[&str]| Background::start_as(&owner, arguments).finish();
-    run(&["key", "set", &board.cable]).succeeds();
+    run(&["device", "key", "set", &board.cable]).succeeds();
     let config = format!(
         "fleet = \"hall\"\nbroker = \"{}\"\n{METRICS}[boards]\nb = \"{}\"\n",
         broker.url(),
@@ -128,10 +128,16 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     wait_until("the malicious client", || malicious.is_connected());
 
     let link = format!("mqtt://127.0.0.1:{}/hall/b", broker.port);
-    let rate = || run(&["settings", "get", &link]).succeeds()["rate_hz"].clone();
-    assert_eq!(run(&["settings", "set", &link, "--rate", "50"]).succeeds()["rate_hz"], 50);
+    let rate = || run(&["device", "settings", "get", &link]).succeeds()["rate_hz"].clone();
+    assert_eq!(
+        run(&["device", "settings", "set", &link, "--rate", "50"]).succeeds()["rate_hz"],
+        50
+    );
     let written = overheard.lock().unwrap().clone();
-    assert_eq!(run(&["settings", "set", &link, "--rate", "200"]).succeeds()["rate_hz"], 200);
+    assert_eq!(
+        run(&["device", "settings", "set", &link, "--rate", "200"]).succeeds()["rate_hz"],
+        200
+    );
     for message in written {
         malicious.publish(down.clone(), message);
     }
@@ -161,8 +167,8 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
 
     // Nobody changes a board or a key through a broker without a key.
     for (arguments, code) in [
-        (&["settings", "set", &link, "--rate", "50"][..], "not_through_broker"),
-        (&["key", "set", &link], "key_needed"),
+        (&["device", "settings", "set", &link, "--rate", "50"][..], "not_through_broker"),
+        (&["device", "key", "set", &link], "key_needed"),
     ] {
         wimu(arguments).fails(4, code);
     }
@@ -205,7 +211,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let took = removed.elapsed();
     assert!(took < Duration::from_secs(55), "only when asked each minute: {took:?}");
     let file = folder.path().join("fleet.toml");
-    wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
+    wimu(&["fleet", "gateway", "--config", file.to_str().unwrap()]).fails(1, "link_busy");
     drop(board);
     wait_until("the board is away", || gateway.metric("wimu_board_alive") == 0.0);
     run(&push).fails(1, "link_absent");
@@ -227,7 +233,7 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
     let run = |arguments: &[&str]| Background::start_as(&owner, arguments).finish();
     let boards = ["1", "2"].map(|seed| Simulator::start(&["--motion", "rest", "--seed", seed]));
     let links = boards.each_ref().map(|board| {
-        run(&["key", "set", &board.cable]).succeeds();
+        run(&["device", "key", "set", &board.cable]).succeeds();
         board.wireless.clone()
     });
     let gateway = |[a, b]: [&str; 2]| {
@@ -245,12 +251,12 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
     fs::create_dir(&calibrations).unwrap();
     let file = calibrations.join("a.json");
     let push_fleet = ["fleet", "push", &fleet, calibrations.to_str().unwrap()];
-    let push_one = ["params", "push", &link, file.to_str().unwrap()];
+    let push_one = ["device", "params", "push", &link, file.to_str().unwrap()];
 
     let first = gateway([&links[0], &links[1]]);
     // At the first use only the file can tell.
     calibration(&file, Some(0x5157_0002));
-    for push in [&push_fleet, &push_one] {
+    for push in [&push_fleet[..], &push_one] {
         let error = run(push).fails(2, "other_device");
         let message = error["text"].as_str().unwrap();
         assert!(message.contains("0000000051570001") && message.contains("0000000051570002"));
@@ -264,7 +270,7 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
     let exchanged = gateway([&links[1], &links[0]]);
     for device_id in [None, Some(0x5157_0001), Some(0x5157_0002)] {
         calibration(&file, device_id);
-        for push in [&push_fleet, &push_one] {
+        for push in [&push_fleet[..], &push_one] {
             for force in [&[][..], &["--force"]] {
                 let error = run(&[&push[..], force].concat()).fails(4, "device_changed");
                 let message = error["text"].as_str().unwrap();
@@ -274,7 +280,7 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
             }
         }
     }
-    let read = run(&["params", "get", &link]);
+    let read = run(&["device", "params", "get", &link]);
     assert_eq!(read.succeeds()["authenticated"], false);
     assert!(read.stderr.contains("this board was device 0000000051570001"), "{read:?}");
     // An exchange on purpose: the line is removed.
@@ -336,7 +342,8 @@ fn forged_states_and_foreign_files_do_no_harm_and_slow_clients_do_not_block_the_
     fs::remove_file(spool.join("lock")).unwrap();
     std::os::unix::fs::symlink(&target, spool.join("lock")).unwrap();
     let toml = folder.path().join("fleet.toml");
-    wimu(&["gateway", "--config", toml.to_str().unwrap(), "--for", "1"]).fails(2, "file_exists");
+    wimu(&["fleet", "gateway", "--config", toml.to_str().unwrap(), "--for", "1"])
+        .fails(2, "file_exists");
     assert_eq!(fs::read(&target).unwrap(), b"mine");
 }
 
@@ -577,9 +584,10 @@ fn a_wrong_configuration_or_address_is_named() {
     let folder = folder();
     let file = folder.path().join("fleet.toml");
     fs::write(&file, "fleet = \"hall\"\nbroker = \"mqtt://127.0.0.1:1\"\n[boards]\n\"a/#\" = \"tcp://127.0.0.1:1\"\n").unwrap();
-    let failure = wimu(&["gateway", "--config", file.to_str().unwrap()]).fails(2, "bad_config");
+    let failure =
+        wimu(&["fleet", "gateway", "--config", file.to_str().unwrap()]).fails(2, "bad_config");
     assert!(failure["place"]["at"].as_str().unwrap().ends_with("line 4"), "{failure}");
-    wimu(&["gateway", "--config", "/nonexistent.toml"]).fails(2, "file_unreadable");
+    wimu(&["fleet", "gateway", "--config", "/nonexistent.toml"]).fails(2, "file_unreadable");
     wimu(&["monitor", "mqtt://127.0.0.1:1/hall"]).fails(2, "bad_link");
     wimu(&["fleet", "status", "mqtt://127.0.0.1:1/+"]).fails(2, "bad_link");
     wimu(&["fleet", "status", "mqtt://127.0.0.1:1/hall"]).fails(1, "link_refused");

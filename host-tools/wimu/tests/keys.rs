@@ -1,4 +1,4 @@
-//! `wimu key`: who may write, and with what.
+//! `wimu device key`: who may write, and with what.
 #![cfg(target_os = "linux")]
 
 use crate::kit;
@@ -19,20 +19,20 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     let run_as = |user: &Path, arguments: &[&str]| Background::start_as(user, arguments).finish();
     let board = Simulator::start(&arguments);
     let set = |user: &Path, link: &str, rate: &str| {
-        run_as(user, &["settings", "set", link, "--rate", rate])
+        run_as(user, &["device", "settings", "set", link, "--rate", rate])
     };
     let mut texts = Transcript::default();
     let ran = set(&owner, &board.wireless, "50");
     texts.fails("settings set by radio, no key", &ran, 4, "key_needed");
     // A key never travels over the radio.
-    let ran = run_as(&owner, &["key", "set", &board.wireless]);
+    let ran = run_as(&owner, &["device", "key", "set", &board.wireless]);
     texts.fails("key set by radio", &ran, 4, "key_needed");
-    let ran = run_as(&owner, &["key", "status", &board.cable]);
+    let ran = run_as(&owner, &["device", "key", "status", &board.cable]);
     texts.text("key status, none", &ran);
     let status = ran.succeeds();
     assert_eq!((&status["set"], &status["ours"]), (&false.into(), &false.into()));
 
-    let ran = run_as(&owner, &["key", "set", &board.cable]);
+    let ran = run_as(&owner, &["device", "key", "set", &board.cable]);
     texts.text("key set", &ran);
     let status = ran.succeeds();
     assert_eq!((&status["set"], &status["ours"]), (&true.into(), &true.into()));
@@ -52,10 +52,10 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
         texts.fails("settings set, another's key", &ran, 4, "key_needed");
     }
     for action in ["set", "rotate", "forget"] {
-        let ran = run_as(&other, &["key", action, &board.cable]);
+        let ran = run_as(&other, &["device", "key", action, &board.cable]);
         texts.fails(format_args!("key {action}, another's key"), &ran, 4, "key_needed");
     }
-    let ran = run_as(&other, &["key", "status", &board.wireless]);
+    let ran = run_as(&other, &["device", "key", "status", &board.wireless]);
     texts.text("key status, another's key", &ran);
     let status = ran.succeeds();
     assert_eq!((&status["set"], &status["ours"]), (&true.into(), &false.into()));
@@ -77,7 +77,7 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     drop(board);
     let board = Simulator::start(&arguments);
     assert_eq!(set(&owner, &board.wireless, "100").succeeds()["rate_hz"], 100);
-    let ran = run_as(&owner, &["key", "rotate", &board.cable]);
+    let ran = run_as(&owner, &["device", "key", "rotate", &board.cable]);
     ran.succeeds();
     texts.text("key rotate", &ran);
     assert_ne!(fs::read_to_string(&file).unwrap(), key);
@@ -94,7 +94,7 @@ fn a_key_lets_only_its_owner_write_over_the_wireless_link() {
     let failure = texts.fails("damaged key file", &ran, 2, "file_unreadable");
     assert!(failure["place"]["at"].as_str().unwrap().ends_with(".key"));
 
-    let ran = run_as(&owner, &["key", "forget", &board.cable]);
+    let ran = run_as(&owner, &["device", "key", "forget", &board.cable]);
     texts.text("key forget", &ran);
     assert_eq!(ran.succeeds()["set"], false);
     texts.check_live("key");
@@ -112,7 +112,7 @@ fn a_device_that_cannot_read_its_own_key_reports_it_until_the_key_is_erased() {
     let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
     let user = folder.path().join("user");
     let key = |action: &str, board: &Simulator| {
-        Background::start_as(&user, &["key", action, &board.cable]).finish()
+        Background::start_as(&user, &["device", "key", action, &board.cable]).finish()
     };
     let board = Simulator::start(&arguments);
     key("set", &board).succeeds();

@@ -1,4 +1,4 @@
-//! `wimu settings set LINK --wireless-baud N` on a serial port: a pseudo-terminal with the cable of a simulated board behind
+//! `wimu device settings set LINK --wireless-baud N` on a serial port: a pseudo-terminal with the cable of a simulated board behind
 //! it.
 #![cfg(target_os = "linux")]
 
@@ -48,7 +48,7 @@ fn port() -> String {
 #[test]
 fn the_rate_of_the_wireless_line_is_set_or_refused_with_the_nearest() {
     let port = port();
-    let set = |baud| wimu(&["settings", "set", &port, "--wireless-baud", baud]);
+    let set = |baud| wimu(&["device", "settings", "set", &port, "--wireless-baud", baud]);
     let ran = set("57600");
     ran.succeeds();
     assert!(ran.stderr.contains("from the board's next start on"), "{ran:?}");

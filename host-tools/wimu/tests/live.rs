@@ -119,7 +119,7 @@ fn range_m(anchor: usize) -> f64 {
 
 #[test]
 fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() {
-    let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
+    let board = Simulator::start(&["--chip", "lsm6dso", "--motion", "rest"]);
     let folder = folder();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (anchors, file) = (path("anchors.csv"), path("ranges.csv"));
@@ -164,7 +164,7 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
 
 #[test]
 fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
-    let board = Simulator::start(&["--sensor", "lsm6dso", "--motion", "rest"]);
+    let board = Simulator::start(&["--chip", "lsm6dso", "--motion", "rest"]);
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let fixes = format!("tcp://{}", listener.local_addr().unwrap());
     thread::spawn(move || {

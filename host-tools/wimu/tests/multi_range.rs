@@ -12,7 +12,7 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
     let folder = folder();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let session = path("impact.mcap");
-    let arguments = ["--sensor", "lsm303agr,adxl345", "--motion", "twelve-poses,impact,rest"];
+    let arguments = ["--chip", "lsm303agr,adxl345", "--motion", "twelve-poses,impact,rest"];
     let arguments = [&arguments[..], &["--exit-when-done", "--speed", "20"]].concat();
     Simulator::start(&arguments).record_to_the_end(&session);
 
@@ -86,7 +86,7 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
         assert_ne!(refused.code, 0, "{wrong}: {refused:?}");
     }
     for sensors in ["lsm6dso,adxl345", "adxl345,adxl345", "lsm303agr,adxl345,adxl345"] {
-        let refused = wimu(&["simulate", "--sensor", sensors]);
+        let refused = wimu(&["simulate", "--chip", sensors]);
         assert_ne!(refused.code, 0, "{sensors}: {refused:?}");
     }
 }

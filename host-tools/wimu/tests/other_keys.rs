@@ -20,8 +20,10 @@ fn reads_report_whether_the_board_has_authenticated_them() {
     let folder = folder();
     let [user, other] = ["user", "other"].map(|name| folder.path().join(name));
     let board = Simulator::start(&["--motion", "rest"]);
-    run_as(&user, &["key", "set", &board.cable]).succeeds();
-    for read in [["params", "get"], ["settings", "get"], ["key", "status"]] {
+    run_as(&user, &["device", "key", "set", &board.cable]).succeeds();
+    for read in
+        [["device", "params", "get"], ["device", "settings", "get"], ["device", "key", "status"]]
+    {
         let of = |user: &Path| run_as(user, &[&read[..], &[&board.cable]].concat()).succeeds();
         assert_eq!(of(&user)["authenticated"], true);
         assert!(of(&other)["authenticated"].is_null());
@@ -72,7 +74,7 @@ fn data_without_the_tags_of_a_device_whose_key_is_here_are_reported() {
     let folder = folder();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
-    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    run_as(&user, &["device", "key", "set", &board.cable]).succeeds();
     let stripped = without_tags(&board.wireless);
     for (link, is_authentic) in [(&board.wireless, true), (&stripped, false)] {
         let file = folder.path().join(format!("{is_authentic}.mcap"));
@@ -110,17 +112,17 @@ fn a_key_erased_at_the_board_is_reported_at_the_next_write() {
     let store = folder.path().join("board.store");
     let arguments = ["--store", store.to_str().expect("text"), "--motion", "rest"];
     let board = Simulator::start(&arguments);
-    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    run_as(&user, &["device", "key", "set", &board.cable]).succeeds();
     drop(board);
     let board = Simulator::start(&[&arguments[..], &["--forget-key"]].concat());
     for link in [&board.cable, &board.wireless] {
-        let ran = run_as(&user, &["settings", "set", link, "--rate", "200"]);
+        let ran = run_as(&user, &["device", "settings", "set", link, "--rate", "200"]);
         texts.fails("settings set", &ran, 4, "key_needed");
     }
     texts.check("key_erased_at_the_board");
-    run_as(&user, &["key", "set", &board.cable]).succeeds();
+    run_as(&user, &["device", "key", "set", &board.cable]).succeeds();
     for link in [&board.cable, &board.wireless] {
-        let set = run_as(&user, &["settings", "set", link, "--rate", "200"]);
+        let set = run_as(&user, &["device", "settings", "set", link, "--rate", "200"]);
         assert_eq!(set.succeeds()["authenticated"], true);
     }
 }
@@ -129,16 +131,17 @@ fn a_key_erased_at_the_board_is_reported_at_the_next_write() {
 fn a_simulator_that_was_started_without_its_store_is_the_first_cause_named() {
     let folder = folder();
     let user = folder.path().join("user");
-    run_as(&user, &["key", "set", &Simulator::start(&["--motion", "rest"]).cable]).succeeds();
+    run_as(&user, &["device", "key", "set", &Simulator::start(&["--motion", "rest"]).cable])
+        .succeeds();
     let again = Simulator::start(&["--motion", "rest"]);
-    let ran = run_as(&user, &["settings", "set", &again.cable, "--rate", "200"]);
+    let ran = run_as(&user, &["device", "settings", "set", &again.cable, "--rate", "200"]);
     // The causes in their order: `--store`, an erased key, a peer in between.
     let mut texts = Transcript::default();
     texts.fails("settings set", &ran, 4, "key_needed");
-    let read = run_as(&user, &["params", "get", &again.cable]).succeeds();
+    let read = run_as(&user, &["device", "params", "get", &again.cable]).succeeds();
     assert_eq!(read["authenticated"], false);
     texts.check("key_of_a_simulator_without_store");
     // The remedy works.
-    run_as(&user, &["key", "set", &again.cable]).succeeds();
-    run_as(&user, &["settings", "set", &again.cable, "--rate", "200"]).succeeds();
+    run_as(&user, &["device", "key", "set", &again.cable]).succeeds();
+    run_as(&user, &["device", "settings", "set", &again.cable, "--rate", "200"]).succeeds();
 }

@@ -18,9 +18,7 @@ fn figures_of_the_wireless_link_alone_in_real_time() {
     for seed in 1..=SESSIONS {
         let board = Simulator::start(&[
             "--faults",
-            "noisy",
-            "--clock-ppm",
-            &FAST_PPM.to_string(),
+            &format!("noisy,clock={FAST_PPM}ppm"),
             "--motion",
             "hand",
             "--seed",

@@ -130,7 +130,7 @@ fn a_link_that_is_lost_comes_back_without_the_other_or_the_file_being_lost() {
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "hand"]);
     let relay = hangs_up_once(&board.wireless, 4000, None);
-    let arguments = ["record", &relay, "--cable", &board.cable, "-o", file];
+    let arguments = ["record", &relay, &board.cable, "-o", file];
     let recorded = record_until(Background::start(&arguments), file, |link| {
         let (received, lost) = (&link["raw_samples"], link["role"] == "wireless");
         received.as_u64() > Some(600) && link["statistics"]["interruptions"] == u64::from(lost)
@@ -207,7 +207,7 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     let file = path.to_str().unwrap();
     let board = Simulator::start(&["--motion", "rest"]);
     let (wireless, cable) = (board.wireless.as_str(), board.cable.as_str());
-    let arguments = ["record", wireless, "--cable", cable, "-o", file, "--decoded"];
+    let arguments = ["record", wireless, cable, "-o", file, "--decoded"];
     let report = record_until(Background::start(&arguments), file, |link| {
         link["raw_samples"].as_u64() > Some(500)
     });

@@ -93,7 +93,7 @@ fn what_is_not_two_units_of_a_joint_is_refused() {
 #[test]
 fn live_units_without_a_joint_are_not_accurate_and_one_board_is_refused() {
     let boards = ["1", "2"].map(|seed| {
-        let words = ["--sensor", "lsm6dso", "--motion", "hand", "--seed", seed];
+        let words = ["--chip", "lsm6dso", "--motion", "hand", "--seed", seed];
         Simulator::start(&words)
     });
     let [a, b] = boards.each_ref().map(|board| board.cable.as_str());

@@ -131,7 +131,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
         let report = wimu(&[&base[..], flags].concat()).succeeds();
         let set = read_parameters(Path::new(&cal)).unwrap();
         // What the board holds afterwards is the set, digit by digit.
-        let held = wimu(&["params", "push", &board.cable, &cal]).succeeds();
+        let held = wimu(&["device", "params", "push", &board.cable, &cal]).succeeds();
         assert_eq!(held["parameters"], report["parameters"], "{flags:?}");
         assert_eq!(held["parameter_id"], report["parameter_id"], "{flags:?}");
         for format in ["rust", "c", "kalibr"] {

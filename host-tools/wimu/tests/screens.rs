@@ -152,7 +152,7 @@ fn typed_letters_alone_lead_to_a_pushed_calibration() {
     assert!(screen.bytes().iter().filter(|byte| **byte == 7).count() >= 6);
     screen.press("p\n");
     assert!(screen.ends().success());
-    assert_eq!(wimu(&["params", "get", &board.cable]).succeeds()["calibrated"], true);
+    assert_eq!(wimu(&["device", "params", "get", &board.cable]).succeeds()["calibrated"], true);
     assert!(!folder.path().join("wimu-calibration.poses.csv").exists());
     let mut screen = Terminal::start(&["monitor", &board.cable], folder.path(), USUAL);
     for part in ["force ", "(corrected)", "motion ", "temperature ", "samples/s", "Ctrl-C quits"] {

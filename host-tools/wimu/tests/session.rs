@@ -92,15 +92,15 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     assert_eq!(from_table["model"], report["model"]);
 
     // Only the cable writes; a dry run lists the changes.
-    let dry = wimu(&["params", "push", &board.cable, &cal, "--dry-run"]);
+    let dry = wimu(&["device", "params", "push", &board.cable, &cal, "--dry-run"]);
     assert_eq!(dry.succeeds()["calibrated"], false);
     texts.text("params push --dry-run", &dry);
-    let ran = wimu(&["params", "push", &board.wireless, &cal]);
+    let ran = wimu(&["device", "params", "push", &board.wireless, &cal]);
     texts.fails("params push by radio", &ran, 4, "key_needed");
-    let held = wimu(&["params", "push", &board.cable, &cal]).succeeds();
+    let held = wimu(&["device", "params", "push", &board.cable, &cal]).succeeds();
     assert_eq!(held["parameter_id"], report["parameter_id"]);
     let again = path("held.json");
-    let ran = wimu(&["params", "get", &board.wireless, "-o", &again]);
+    let ran = wimu(&["device", "params", "get", &board.wireless, "-o", &again]);
     let held = ran.succeeds();
     texts.text("params get", &ran);
     assert_eq!(held["parameters"], report["parameters"]);
@@ -109,7 +109,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     assert_eq!(quality["method"], "multi-position");
     assert_eq!(quality["poses"], report["poses"]);
     has(quality, &["utc_s", "temperature", "dof", "loo_rms_mps2", "covariance"]);
-    let held = wimu(&["params", "push", &board.cable, &again]).succeeds();
+    let held = wimu(&["device", "params", "push", &board.cable, &again]).succeeds();
     assert_eq!(held["parameter_id"], report["parameter_id"]);
 
     let navigated = wimu(&["navigate", &session]).succeeds();
@@ -121,10 +121,11 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     wimu(&["navigate", &session, "--calibration", &cal, "--zupt", "off"]).succeeds();
 
     // Settings: refused with the nearest, then taken.
-    let ran = wimu(&["settings", "set", &board.cable, "--rate", "333"]);
+    let ran = wimu(&["device", "settings", "set", &board.cable, "--rate", "333"]);
     texts.fails("settings set --rate 333", &ran, 4, "device_refused");
-    wimu(&["settings", "set", &board.wireless, "--rate", "200"]).fails(4, "key_needed");
-    let set = wimu(&["settings", "set", &board.cable, "--rate", "200", "--zupt", "off"]).succeeds();
+    wimu(&["device", "settings", "set", &board.wireless, "--rate", "200"]).fails(4, "key_needed");
+    let set = wimu(&["device", "settings", "set", &board.cable, "--rate", "200", "--zupt", "off"])
+        .succeeds();
     assert_eq!((&set["rate_hz"], &set["zupt"]), (&200.into(), &false.into()));
 
     let monitored = wimu(&["monitor", &board.cable, "--for", "1"]);
@@ -138,10 +139,10 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
 
     // By now its rate is measured.
     texts.text("info LINK", &wimu(&["info", &board.cable]));
-    let ran = wimu(&["params", "factory-reset", &board.cable]);
+    let ran = wimu(&["device", "params", "factory-reset", &board.cable]);
     assert_eq!(ran.succeeds()["calibrated"], false);
     texts.text("params factory-reset", &ran);
-    let ran = wimu(&["settings", "get", &board.cable]);
+    let ran = wimu(&["device", "settings", "get", &board.cable]);
     assert_eq!(ran.succeeds()["rate_hz"], 100);
     texts.text("settings get", &ran);
     texts.check_live("session");
@@ -153,13 +154,13 @@ fn a_calibration_is_kept_in_the_store_file_over_a_restart() {
     let store = folder.path().join("board.store");
     let arguments = ["--store", store.to_str().unwrap(), "--motion", "rest"];
     let set = |board: &Simulator| {
-        wimu(&["settings", "set", &board.cable, "--range", "8"]).succeeds();
+        wimu(&["device", "settings", "set", &board.cable, "--range", "8"]).succeeds();
     };
     let board = Simulator::start(&arguments);
     set(&board);
     drop(board);
     let board = Simulator::start(&arguments);
-    let settings = wimu(&["settings", "get", &board.wireless]).succeeds();
+    let settings = wimu(&["device", "settings", "get", &board.wireless]).succeeds();
     assert_eq!(settings["range_g"], 8);
     assert_eq!(wimu(&["info", &board.cable]).succeeds()["boot_count"], 2);
 }

@@ -49,10 +49,10 @@ fn a_file_that_was_edited_by_hand_is_not_pushed() {
     let folder = folder();
     let (cal, id) = calibration(folder.path(), 100);
     let board = Simulator::start(&["--motion", "rest"]);
-    wimu(&["params", "push", &board.cable, &cal]).succeeds();
+    wimu(&["device", "params", "push", &board.cable, &cal]).succeeds();
     let held = folder.path().join("held.json");
     let held = held.to_str().expect("text");
-    wimu(&["params", "get", &board.cable, "-o", held]).succeeds();
+    wimu(&["device", "params", "get", &board.cable, "-o", held]).succeeds();
     for file in [&cal, held] {
         let good = fs::read_to_string(file).expect("text");
         // A digit of the bias; the range; the id itself; a set without its id.
@@ -71,10 +71,10 @@ fn a_file_that_was_edited_by_hand_is_not_pushed() {
         ] {
             assert_ne!(edited, good);
             fs::write(file, edited).expect("written");
-            wimu(&["params", "push", &board.cable, file]).fails(2, "bad_calibration");
+            wimu(&["device", "params", "push", &board.cable, file]).fails(2, "bad_calibration");
         }
         fs::write(file, good).expect("written");
-        let pushed = wimu(&["params", "push", &board.cable, file]).succeeds();
+        let pushed = wimu(&["device", "params", "push", &board.cable, file]).succeeds();
         assert_eq!(pushed["parameter_id"], id);
     }
 }
@@ -84,7 +84,7 @@ fn params_get_of_an_uncalibrated_device_prints_one_object_with_or_without_a_file
     let folder = folder();
     let file = folder.path().join("CAL.json");
     let board = Simulator::start(&["--motion", "rest"]);
-    let get = ["params", "get", &board.cable];
+    let get = ["device", "params", "get", &board.cable];
     assert_eq!(wimu(&get).succeeds()["calibrated"], false);
     let ran = wimu(&[&get[..], &["-o", file.to_str().expect("text")]].concat());
     assert_eq!(ran.stdout.lines().count(), 1);
@@ -97,10 +97,10 @@ fn a_push_lists_the_changes_and_a_dry_run_changes_nothing() {
     let folder = folder();
     let [(first, a), (second, b)] = [100, 200].map(|bias| calibration(folder.path(), bias));
     let board = Simulator::start(&["--motion", "rest"]);
-    wimu(&["params", "push", &board.cable, &first]).succeeds();
-    let dry = wimu(&["params", "push", &board.cable, &second, "--dry-run"]);
+    wimu(&["device", "params", "push", &board.cable, &first]).succeeds();
+    let dry = wimu(&["device", "params", "push", &board.cable, &second, "--dry-run"]);
     assert_eq!(dry.succeeds()["parameter_id"], a);
-    let pushed = wimu(&["params", "push", &board.cable, &second]);
+    let pushed = wimu(&["device", "params", "push", &board.cable, &second]);
     assert_eq!(pushed.succeeds()["parameter_id"], b);
     let mut texts = Transcript::default();
     for (case, ran) in [("--dry-run", &dry), ("push", &pushed)] {
@@ -124,8 +124,8 @@ fn a_calibration_of_another_sensor_is_refused() {
     assert_eq!(report["parameters"]["sensor"], 2);
     let ours = Simulator::start(&["--motion", "rest"]);
     let range = report["parameters"]["range_g"].to_string();
-    wimu(&["settings", "set", &ours.cable, "--range", &range]).succeeds();
-    let ran = wimu(&["params", "push", &ours.cable, cal]);
+    wimu(&["device", "settings", "set", &ours.cable, "--range", &range]).succeeds();
+    let ran = wimu(&["device", "params", "push", &ours.cable, cal]);
     let mut texts = Transcript::default();
     texts.fails("ADXL345 to LSM303AGR", &ran, 4, "device_refused");
     texts.check("params_push_of_another_sensor");
@@ -166,7 +166,7 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     let mut keys = Vec::new();
     let mut file = None;
     for action in ["set", "status", "rotate", "status"] {
-        let ran = run(&["key", action, &board.cable]);
+        let ran = run(&["device", "key", action, &board.cable]);
         let status = ran.succeeds();
         let name = format!("wimu/keys/{}.key", status["device_id"].as_str().expect("text"));
         let path = user.join(name);
@@ -176,20 +176,20 @@ fn a_key_is_in_no_output_and_in_no_recording_and_its_file_is_for_its_owner_alone
     }
     let file = file.expect("a key's file");
     assert_ne!(keys[0], keys[2]);
-    let set = run(&["settings", "set", &board.cable, "--rate", "200"]);
+    let set = run(&["device", "settings", "set", &board.cable, "--rate", "200"]);
     set.succeeds();
     // A file that others can read, or that is too long, is refused; its content is not printed.
     let good = fs::read_to_string(&file).expect("a key");
     let mode = |mode| fs::set_permissions(&file, fs::Permissions::from_mode(mode)).expect("set");
     mode(0o640);
-    let open = run(&["settings", "set", &board.cable, "--rate", "100"]);
+    let open = run(&["device", "settings", "set", &board.cable, "--rate", "100"]);
     open.fails(2, "file_unreadable");
     mode(0o600);
     fs::write(&file, format!("00{good}")).expect("written");
-    let long = run(&["settings", "set", &board.cable, "--rate", "100"]);
+    let long = run(&["device", "settings", "set", &board.cable, "--rate", "100"]);
     long.fails(2, "file_unreadable");
     fs::write(&file, good).expect("written");
-    let forgotten = run(&["key", "forget", &board.cable]);
+    let forgotten = run(&["device", "key", "forget", &board.cable]);
     assert_eq!(forgotten.succeeds()["set"], false);
     assert!(!file.exists());
     let recorded = recording.signal("-INT");
@@ -213,17 +213,20 @@ fn two_hosts_that_push_at_once_get_consistent_answers() {
     let folder = folder();
     let user = folder.path().join("user");
     let board = Simulator::start(&["--motion", "rest"]);
-    Background::start_as(&user, &["key", "set", &board.cable]).finish().succeeds();
+    Background::start_as(&user, &["device", "key", "set", &board.cable]).finish().succeeds();
     let sets = [100, 200].map(|bias| calibration(folder.path(), bias));
     for _ in 0..4 {
         let links = [&board.cable, &board.wireless];
         let pushes: Vec<_> = links
             .iter()
             .zip(&sets)
-            .map(|(link, (cal, _))| Background::start_as(&user, &["params", "push", link, cal]))
+            .map(|(link, (cal, _))| {
+                Background::start_as(&user, &["device", "params", "push", link, cal])
+            })
             .collect();
         let outcomes: Vec<_> = pushes.into_iter().map(Background::finish).collect();
-        let held = wimu(&["params", "get", &board.cable]).succeeds()["parameter_id"].clone();
+        let held =
+            wimu(&["device", "params", "get", &board.cable]).succeeds()["parameter_id"].clone();
         let mut reported = Vec::new();
         for (ran, (_, id)) in outcomes.iter().zip(&sets) {
             match ran.code {
@@ -244,10 +247,10 @@ fn a_host_or_a_board_that_is_killed_while_it_pushes_leaves_the_old_set_or_the_ne
     let sets = [100, 200].map(|bias| calibration(folder.path(), bias));
     let ids = sets.each_ref().map(|(_, id)| id.clone());
     let mut board = Simulator::start(&arguments);
-    wimu(&["params", "push", &board.cable, &sets[0].0]).succeeds();
+    wimu(&["device", "params", "push", &board.cable, &sets[0].0]).succeeds();
     for round in 0..8_u64 {
         let (cal, _) = &sets[(round as usize + 1) % 2];
-        let push = Background::start(&["params", "push", &board.cable, cal]);
+        let push = Background::start(&["device", "params", "push", &board.cable, cal]);
         thread::sleep(Duration::from_millis(20 + 35 * round));
         if round % 2 == 0 {
             push.signal("-KILL");
@@ -256,10 +259,11 @@ fn a_host_or_a_board_that_is_killed_while_it_pushes_leaves_the_old_set_or_the_ne
             push.finish();
             board = Simulator::start(&arguments);
         }
-        let held = wimu(&["params", "get", &board.wireless]).succeeds()["parameter_id"].clone();
+        let held =
+            wimu(&["device", "params", "get", &board.wireless]).succeeds()["parameter_id"].clone();
         assert!(ids.contains(&held), "{held} after round {round}");
         // The next push is not blocked.
-        let again = wimu(&["params", "push", &board.cable, cal]).succeeds();
+        let again = wimu(&["device", "params", "push", &board.cable, cal]).succeeds();
         assert_eq!(again["parameter_id"], ids[(round as usize + 1) % 2]);
     }
 }

@@ -115,7 +115,7 @@ pub fn write_all(sh: &Shell) -> Result {
     Ok(())
 }
 
-/// Builds the board called `name` and writes it through a debug probe with `wimu flash` and its `options`.
+/// Builds the board called `name` and writes it through a debug probe with `wimu device flash` and its `options`.
 pub fn flash(sh: &Shell, name: &str, options: &[String]) -> Result {
     let mut boards = ALL.into_iter().filter(|board| board.format.is_some());
     let board = boards.find(|board| board.folder.ends_with(&format!("/{name}")));

@@ -50,7 +50,7 @@ enum Task {
     Lines,
     /// Build every board; target/firmware gets the files for the boards' drives
     Firmware,
-    /// Build a board and write it through its debug probe, with `wimu flash` and its options
+    /// Build a board and write it through its debug probe, with `wimu device flash` and its options
     Flash {
         board: String,
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]

@@ -165,7 +165,7 @@ fn a_memory_without_a_header_locks_both_links_until_the_owner_makes_the_gesture(
         assert_eq!(host.hello().access, WriteAccess::Locked);
         let refused = set_rate(&mut host, 200).expect_err("locked");
         assert_eq!(refused.code, Code::DeviceRefused);
-        assert!(refused.remedy.contains("wimu key rotate"), "{refused}");
+        assert!(refused.remedy.contains("wimu device key rotate"), "{refused}");
     }
     board.borrow().forget_key();
     let mut cable = connect(&board, CABLE, 4);

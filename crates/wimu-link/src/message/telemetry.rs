@@ -282,7 +282,7 @@ impl fmt::Display for Event {
                 write!(out, "the stored calibration is not used: {fault}; push it again")
             }
             Self::SettingsAdjusted => out.write_str(
-                "the sensor does not support the stored settings and uses the nearest ones; see `wimu settings get`",
+                "the sensor does not support the stored settings and uses the nearest ones; see `wimu device settings get`",
             ),
             Self::Marked { count } => write!(out, "the button was pressed: mark {count}"),
             Self::CalibrationContradicted {

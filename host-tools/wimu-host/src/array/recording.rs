@@ -542,7 +542,7 @@ impl Board {
             Code::NoRows
                 .error(
                     format!("no {raw}samples came over the {} link", link.role),
-                    "switch a stream on with `wimu settings set`, or use the other link",
+                    "switch a stream on with `wimu device settings set`, or use the other link",
                 )
                 .at(&recording.name)
         };

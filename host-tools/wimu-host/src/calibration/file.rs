@@ -453,7 +453,7 @@ pub fn check_device(path: &Path, id: u64) -> Result<()> {
         Some(device) if device != id => Err(Code::OtherDevice
             .error(
                 format!("this is the calibration of device {device}, the board is device {id}"),
-                "push that of this device; `params push` and `fleet push` also take another one with --force",
+                "push that of this device; `device params push` and `fleet push` also take another one with --force",
             )
             .at(path.display().to_string())),
         _ => Ok(()),

@@ -18,7 +18,7 @@ use crate::problem::Outcome;
 use crate::recording::{OutputUnit, RateSource, Samples};
 use crate::{Code, Problem, Result};
 
-/// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu params push` reads.
+/// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu device params push` reads.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct MagnetometerReport {
     /// Status and findings.
@@ -162,7 +162,7 @@ fn check(data: &Samples<'_>, set: &ParameterSet) -> Result<()> {
     if data.iter().all(|o| o.magnetic_field_nt.is_none()) {
         let error = match data.rate_source {
             RateSource::Device => Code::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
-                "use a board that has one, and have its link carry `environment`: see `wimu settings set --help`",
+                "use a board that has one, and have its link carry `environment`: see `wimu device settings set --help`",
             ),
             _ => Code::CsvMissingColumn.error("the file has no magnetometer",
                 "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",

@@ -194,7 +194,7 @@ impl Paired {
             return Err(Code::NoRows
                 .error(
                     "no raw sample came over both links",
-                    "record both at once with `wimu record LINK --cable LINK`, raw samples on both",
+                    "record both at once with `wimu record LINK LINK`, raw samples on both",
                 )
                 .at(&recording.name));
         };

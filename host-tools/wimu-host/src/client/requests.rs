@@ -82,12 +82,12 @@ impl<T: Transport> Client<T> {
                 "this computer has a key of this device, but the device answers that it has none"
                     .into(),
                 "if `wimu simulate` was started without its `--store`, or the board's memory was erased, set a new key over the \
-             cable with `wimu key set`; else something in between is answering",
+             cable with `wimu device key set`; else something in between is answering",
             ),
             Some(id) => (
                 format!("the device's key is {id}, this computer has another one"),
                 "use the computer with that key, or copy its file; erase a lost key at the board and set a new one over the \
-                 cable with `wimu key set`",
+                 cable with `wimu device key set`",
             ),
         };
         Code::KeyNeeded.error(message, remedy).at(&self.name)
@@ -114,7 +114,7 @@ impl<T: Transport> Client<T> {
         let has_effect = command.is_write() && !unsigned_write;
         let outcome = match answer {
             Ok(Answer::Accepted(_)) if unsigned_write => Err(Code::KeyNeeded.error("an unsigned write was accepted on this link: the answer is not from a wimu board",
-                "write over the cable, or set a key there with `wimu key set`",
+                "write over the cable, or set a key there with `wimu device key set`",
             )
             .at(&self.name)),
             answer => answer.and_then(|answer| self.accepted(answer)),
@@ -242,7 +242,7 @@ impl<T: Transport> Client<T> {
                 device_g,
             } => format!(
                 "for data taken at ±{device_g} g, calibrate again with --range {device_g} and the board's own sensitivity; for data \
-                 at ±{parameters_g} g, set the board with `wimu settings set LINK --range {parameters_g}`"
+                 at ±{parameters_g} g, set the board with `wimu device settings set LINK --range {parameters_g}`"
             ),
             Refusal::InvalidParameters(_) if !text.contains("; ") => {
                 "calibrate this board (`wimu calibrate LINK --push`), or push a calibration made for its sensor".to_owned()

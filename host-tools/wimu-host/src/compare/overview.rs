@@ -67,7 +67,7 @@ impl Overview {
                 return Err(refused(
                     name,
                     format!("the {role} link is missing: it has no samples"),
-                    "record both links of the board: `wimu record LINK --cable LINK`",
+                    "record both links of the board: `wimu record LINK LINK`",
                 ));
             }
         }
@@ -92,7 +92,7 @@ impl Overview {
                 refused(
                     name,
                     "one link carries raw samples only, the other one corrected ones only",
-                    "set both to the same stream: `wimu settings set LINK --cable raw --wireless raw`",
+                    "set both to the same stream: `wimu device settings set LINK --cable raw --wireless raw`",
                 )
             })?;
         let mut holes = std::mem::take(&mut holes[stream as usize]);

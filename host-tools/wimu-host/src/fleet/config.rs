@@ -1,4 +1,4 @@
-//! The file that `wimu gateway` reads.
+//! The file that `wimu fleet gateway` reads.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -142,7 +142,10 @@ impl GatewayConfig {
         let failed = |at: usize, message: &str| {
             let line = text.get(..at).unwrap_or_default().matches('\n').count() + 1;
             Code::BadConfig
-                .error(message, "see `wimu gateway --help` for an example; write [boards] last")
+                .error(
+                    message,
+                    "see `wimu fleet gateway --help` for an example; write [boards] last",
+                )
                 .at(format!("{}, line {line}", path.display()))
         };
         let found: Text = toml::from_str(text).map_err(|error| {

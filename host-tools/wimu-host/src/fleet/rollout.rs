@@ -115,7 +115,7 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
         return Err(Code::VerifyFailed
             .error(
                 format!("device {found} answers, the fleet's state names another one"),
-                "find out why before the next boards: run `wimu params get LINK`",
+                "find out why before the next boards: run `wimu device params get LINK`",
             )
             .at(&name));
     }
@@ -123,7 +123,7 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
         return Err(Code::KeyNeeded
             .error(
                 "this computer has no key of the board",
-                "copy its key here, or set one over a cable with `wimu key set`",
+                "copy its key here, or set one over a cable with `wimu device key set`",
             )
             .at(&name));
     }

@@ -89,7 +89,7 @@ pub fn open(
     };
     while let Some(why) = link.away() {
         if now() >= link.opened + PATIENCE {
-            let remedy = "`wimu fleet status` lists the boards; check the names, that `wimu gateway` runs, and the board's link there";
+            let remedy = "`wimu fleet status` lists the boards; check the names, that `wimu fleet gateway` runs, and the board's link there";
             return Err(Code::LinkAbsent.error(why, remedy).at(name));
         }
         std::thread::sleep(GLANCE);
@@ -144,7 +144,7 @@ impl Transport for MqttLink {
             }
             Err(CommandFault::Unsigned) => (
                 "through a broker a board is only changed by signed commands",
-                "set a key with `wimu key set` on a cable of this computer to the board",
+                "set a key with `wimu device key set` on a cable of this computer to the board",
             ),
             Err(CommandFault::Key) => ("keys do not pass a broker", "connect a cable to the board"),
             Err(CommandFault::NotRequests) => {

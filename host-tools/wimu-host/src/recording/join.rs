@@ -34,7 +34,7 @@ impl Recording {
             if scale(before).zip(scale(track)).is_some_and(|(a, b)| (a / b - 1.0).abs() > 1e-6) {
                 let error = Code::DataRefused.error(
                     "the earlier poses were captured at another range",
-                    "set the range back with `wimu settings set`, or start again without --resume",
+                    "set the range back with `wimu device settings set`, or start again without --resume",
                 );
                 return Err(error.at(&earlier.name));
             }

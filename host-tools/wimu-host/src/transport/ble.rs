@@ -155,7 +155,7 @@ async fn connect(wanted: &str) -> Result<Nus> {
         };
         return Err(Code::LinkAbsent.error(
             format!("the unit is not in range; found: {others}"),
-            "check its supply and its distance, and that no other computer is connected; `wimu ports --probe` lists units",
+            "check its supply and its distance, and that no other computer is connected; `wimu device ports --probe` lists units",
         ));
     };
     service(peripheral).await.map_err(|error| {

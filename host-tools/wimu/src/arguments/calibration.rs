@@ -147,7 +147,7 @@ Examples:
       listens until both rests were found
   wimu align imu.csv --camera poses.csv --report camera.html
       pose of a camera in the body, from its poses and inertial data or poses of the body
-Push a written result with `wimu params push LINK CAL.json`.")]
+Push a written result with `wimu device params push LINK CAL.json`.")]
 pub struct Align {
     /// A LINK, or a recording of any format
     pub input: String,

@@ -1,16 +1,47 @@
 //! Options of the commands that read and change a device's state.
 
 use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
 
 use clap::{Args, Subcommand, ValueEnum};
+use wimu_link::LinkRole;
 
 use super::Switch;
-use super::values::from_to;
+use super::values::{from_to, seconds};
+
+#[derive(Subcommand)]
+pub enum Device {
+    /// List the serial ports of this computer
+    Ports(Ports),
+    /// Show which device is on a link
+    #[command(after_help = "Example: wimu device info /dev/ttyACM0")]
+    Info {
+        /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
+        link: String,
+    },
+    /// Read, write or erase the calibration on a device
+    Params {
+        #[command(subcommand)]
+        action: Params,
+    },
+    /// Read or change the settings of a device
+    Settings {
+        #[command(subcommand)]
+        action: Settings,
+    },
+    /// Manage the key that signs writes to a device
+    Key(Key),
+    /// Write firmware to a board through its debug probe
+    Flash(Flash),
+    /// Write a file for a bug report: answers and bytes of a link
+    ReportBug(ReportBug),
+}
 
 #[derive(Subcommand)]
 pub enum Params {
     /// Show the calibration that the device uses
-    #[command(after_help = "Example: wimu params get tcp://127.0.0.1:7100 -o CAL.json")]
+    #[command(after_help = "Example: wimu device params get tcp://127.0.0.1:7100 -o CAL.json")]
     Get {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
@@ -19,11 +50,11 @@ pub enum Params {
         output: Option<PathBuf>,
     },
     /// Write a calibration: stage, compare, commit
-    #[command(after_help = "Example: wimu params push tcp://127.0.0.1:7100 CAL.json")]
+    #[command(after_help = "Example: wimu device params push tcp://127.0.0.1:7100 CAL.json")]
     Push {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`. A device without a key accepts writes over the cable only
         link: String,
-        /// File that `wimu calibrate -o` or `wimu params get -o` wrote
+        /// File that `wimu calibrate -o` or `wimu device params get -o` wrote
         calibration: PathBuf,
         /// Show what would change, and write nothing
         #[arg(long)]
@@ -33,7 +64,7 @@ pub enum Params {
         force: bool,
     },
     /// Erase calibration and settings
-    #[command(after_help = "Example: wimu params factory-reset tcp://127.0.0.1:7100")]
+    #[command(after_help = "Example: wimu device params factory-reset tcp://127.0.0.1:7100")]
     FactoryReset {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
@@ -43,8 +74,8 @@ pub enum Params {
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
-  wimu key set /dev/ttyACM0
-  wimu key status tcp://127.0.0.1:7100")]
+  wimu device key set /dev/ttyACM0
+  wimu device key status tcp://127.0.0.1:7100")]
 pub struct Key {
     /// What to do; all actions but `status` need the cable
     #[arg(value_enum)]
@@ -68,18 +99,18 @@ pub enum KeyAction {
 #[derive(Subcommand)]
 pub enum Settings {
     /// Show the settings
-    #[command(after_help = "Example: wimu settings get tcp://127.0.0.1:7100")]
+    #[command(after_help = "Example: wimu device settings get tcp://127.0.0.1:7100")]
     Get {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
         link: String,
     },
     /// Change settings; those that are not given are kept
     #[command(
-        override_usage = "wimu settings set <LINK> <OPTIONS>",
+        override_usage = "wimu device settings set <LINK> <OPTIONS>",
         after_help = "Examples:
-  wimu settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
-  wimu settings set /dev/ttyACM0 --wireless raw,navigation --wireless-every 4
-  wimu settings set /dev/ttyACM0 --wireless-baud 9600"
+  wimu device settings set tcp://127.0.0.1:7100 --rate 400 --zupt off
+  wimu device settings set /dev/ttyACM0 --wireless raw,navigation --every wireless=4
+  wimu device settings set /dev/ttyACM0 --wireless-baud 9600"
     )]
     Set {
         /// Serial port, tcp://HOST:PORT, mqtt://HOST/FLEET/BOARD or `auto`
@@ -116,22 +147,43 @@ pub struct Change {
     /// Baud rate between the board and its radio adapter from the board's next start on, bit/s
     #[arg(long, value_name = "N")]
     pub wireless_baud: Option<u32>,
-    /// Samples per batch on both links, 1 to 32
-    #[arg(long, value_name = "N")]
-    pub batch: Option<u8>,
-    /// Samples per batch on the cable
-    #[arg(long, value_name = "N", conflicts_with = "batch")]
-    pub cable_batch: Option<u8>,
-    /// Samples per batch on the wireless link
-    #[arg(long, value_name = "N", conflicts_with = "batch")]
-    pub wireless_batch: Option<u8>,
-    /// Decimation of raw and corrected samples on the cable, 1 to 255. It does not filter: faster
-    /// motion is aliased
-    #[arg(long, value_name = "N")]
-    pub cable_every: Option<u8>,
-    /// Decimation of raw and corrected samples on the wireless link, 1 to 255
-    #[arg(long, value_name = "N")]
-    pub wireless_every: Option<u8>,
+    /// Samples per batch, 1 to 32, of both links or of one, such as wireless=4
+    #[arg(long, value_name = "[LINK=]N,…", value_delimiter = ',')]
+    pub batch: Vec<PerLink>,
+    /// Decimation of raw and corrected samples, 1 to 255, of both links or of one. It does not filter: faster motion is
+    /// aliased
+    #[arg(long, value_name = "[LINK=]N,…", value_delimiter = ',')]
+    pub every: Vec<PerLink>,
+}
+
+/// A number for one link, or for both.
+#[derive(Clone, Copy)]
+pub struct PerLink {
+    link: Option<LinkRole>,
+    value: u8,
+}
+
+impl PerLink {
+    /// The number for a link; `None` if it is not among them.
+    pub fn of(all: &[Self], link: LinkRole) -> Option<u8> {
+        let mut given = all.iter().filter(|one| one.link.is_none_or(|role| role == link));
+        given.next_back().map(|one| one.value)
+    }
+}
+
+impl FromStr for PerLink {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (link, value) = match text.split_once('=') {
+            Some(("cable", value)) => (Some(LinkRole::Cable), value),
+            Some(("wireless", value)) => (Some(LinkRole::Wireless), value),
+            Some(_) => return Err("the links are cable and wireless".to_owned()),
+            None => (None, text),
+        };
+        let value = value.parse().map_err(|_| "give a number up to 255, or LINK=NUMBER")?;
+        Ok(Self { link, value })
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -148,4 +200,68 @@ pub enum Carried {
     Navigation,
     Environment,
     None,
+}
+
+#[derive(Args)]
+#[command(after_help = "Example: wimu device ports --probe")]
+pub struct Ports {
+    /// Open the ports that look like a board and identify it, 1 s each
+    #[arg(long)]
+    pub probe: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  wimu device flash microbit-v2
+  wimu device flash --list
+  wimu device flash pico-adxl345 --image my.elf --probe 2e8a:000c
+
+Without a probe, copy the image to the drive that the board shows. The calibration is kept, except \
+when --erase-all unlocks a locked chip.")]
+pub struct Flash {
+    /// Board to write
+    #[arg(value_enum, required_unless_present = "list")]
+    pub board: Option<Board>,
+    /// Firmware image: ELF, Intel HEX or UF2 [default: the one that `cargo xtask firmware` wrote]
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+    /// Debug probe to use, if there are several
+    #[arg(long, value_name = "VENDOR:PRODUCT[:SERIAL]")]
+    pub probe: Option<String>,
+    /// List the connected debug probes
+    #[arg(long)]
+    pub list: bool,
+    /// Unlock a locked chip; this erases its firmware, calibration and key
+    #[arg(long)]
+    pub erase_all: bool,
+}
+
+/// Boards that are written through a debug probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Board {
+    /// BBC micro:bit v2
+    MicrobitV2,
+    /// Raspberry Pi Pico with an ADXL345
+    #[value(name = "pico-adxl345")]
+    PicoAdxl345,
+    /// Nordic nRF52840 DK with an LSM6DSO, over Bluetooth Low Energy
+    #[value(name = "nrf52840-ble")]
+    Nrf52840Ble,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Example: wimu device report-bug /dev/ttyACM0 /dev/ttyUSB0
+The file is JSON: version, operating system, serial ports, answers of the board, received bytes. It has no key.")]
+pub struct ReportBug {
+    /// One link of a board, or both
+    #[arg(value_name = "LINK", required = true, num_args = 1..=2)]
+    pub links: Vec<String>,
+    /// File to write
+    #[arg(short, long, value_name = "FILE.json", default_value = "wimu-bug-report.json")]
+    pub output: PathBuf,
+    /// Time to listen, s
+    #[arg(long = "for", value_name = "SECONDS", default_value = "30", value_parser = seconds)]
+    pub seconds: Duration,
 }

@@ -9,7 +9,7 @@ use super::values::seconds;
 
 #[derive(Args)]
 #[command(after_help = "\
-Example: wimu gateway --config fleet.toml
+Example: wimu fleet gateway --config fleet.toml
 
 fleet.toml:
   fleet = \"hall\"
@@ -37,6 +37,8 @@ pub struct Gateway {
 
 #[derive(Subcommand)]
 pub enum Fleet {
+    /// Serve many boards: record them, and publish them through an MQTT broker
+    Gateway(Gateway),
     /// List the boards: last seen, age of the calibration, self-check, loss
     #[command(after_help = "Example: wimu fleet status mqtt://127.0.0.1/hall")]
     Status {

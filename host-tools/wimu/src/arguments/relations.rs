@@ -61,7 +61,7 @@ const TABLES: [Table; 3] = [
     // A replayed CSV file has no angular rates.
     Table {
         command: "simulate",
-        decided_by: "sensor",
+        decided_by: "chip",
         values: &["lsm303agr", "adxl345", "lsm6dso"],
         rows: &[
             ("replay",                "× × ·"),
@@ -76,7 +76,7 @@ const TABLE: &str = "a table or a recording of another program";
 const FILE: &str = "a file";
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 23] = [
+const INPUTS: [(&str, &str); 22] = [
     ("where", TABLE),
     ("poses", TABLE),
     ("accelerometer", TABLE),
@@ -90,7 +90,6 @@ const INPUTS: [(&str, &str); 23] = [
     ("link", "a recording of wimu"),
     ("count", "a LINK"),
     ("resume", "a LINK"),
-    ("cable", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
     ("rate", TABLE),
@@ -214,7 +213,7 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         if !fits && given.contains(&option) {
             let remedy = match option {
                 "push" => {
-                    "write the result with -o and push it with `wimu params push LINK CAL.json`"
+                    "write the result with -o and push it with `wimu device params push LINK CAL.json`"
                 }
                 _ => "leave it out",
             };

@@ -177,7 +177,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
         Input::Link(_) => {
             return Err(usage(
                 "--method reference needs a recording of both links, or a CSV file",
-                "record with `wimu record LINK --cable LINK -o FILE.mcap` first",
+                "record with `wimu record LINK LINK -o FILE.mcap` first",
             ));
         }
     };

@@ -41,11 +41,11 @@ struct Demonstrated {
 }
 
 pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
-    if arguments.localize {
-        return localize::run(arguments, output);
+    if let Some(folder) = &arguments.localize {
+        return localize::run(arguments, folder.as_deref(), output);
     }
     let began = Instant::now();
-    let sensor = arguments.sensor.into();
+    let sensor = arguments.chip.into();
     let outcome =
         FirstLight { seed: arguments.seed, sensor, calibration: Calibration::TwelvePoses }.run_on(
             |source| {

@@ -1,4 +1,4 @@
-//! `wimu flash`.
+//! `wimu device flash`.
 
 mod image;
 #[cfg(feature = "flash")]

@@ -13,6 +13,7 @@ use wimu_host::plural::counted;
 use wimu_host::{Code, Result};
 
 use crate::arguments::Fleet;
+use crate::command::gateway;
 use crate::output::Output;
 
 /// Time to listen for the states before a push.
@@ -20,6 +21,7 @@ const LISTEN: std::time::Duration = std::time::Duration::from_secs(2);
 
 pub fn run(action: &Fleet, output: &Output) -> Result<()> {
     match action {
+        Fleet::Gateway(arguments) => gateway::run(arguments, output),
         Fleet::Status { fleet, seconds } => {
             let status = status::read(&fleet.parse()?, *seconds)?;
             show(&status, output);

@@ -1,4 +1,4 @@
-//! `wimu gateway`.
+//! `wimu fleet gateway`.
 
 use std::time::{Duration, Instant};
 

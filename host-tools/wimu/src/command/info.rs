@@ -270,12 +270,7 @@ impl Live {
 pub fn run(arguments: &Info, output: &Output) -> Result<()> {
     match Input::parse(&arguments.input)? {
         Input::Recording(path) => recording(&path, output),
-        Input::Link(_) => {
-            let live = Live::of(&mut connect(&arguments.input)?)?;
-            output.print(live.text());
-            output.object(&live);
-            Ok(())
-        }
+        Input::Link(_) => board(&arguments.input, output),
         Input::File(path) => {
             let options = arguments.reading.options(false);
             let summary = Summary::read(&Source::open(&path)?, &options)?;
@@ -283,6 +278,14 @@ pub fn run(arguments: &Info, output: &Output) -> Result<()> {
             Ok(())
         }
     }
+}
+
+/// Shows which board is on a link.
+pub fn board(link: &str, output: &Output) -> Result<()> {
+    let live = Live::of(&mut connect(link)?)?;
+    output.print(live.text());
+    output.object(&live);
+    Ok(())
 }
 
 fn of_another_program(summary: &Summary, output: &Output) {

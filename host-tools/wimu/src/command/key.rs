@@ -1,4 +1,4 @@
-//! `wimu key`.
+//! `wimu device key`.
 
 use serde::Serialize;
 use wimu_host::keys::{self, KeyFolder};
@@ -41,12 +41,13 @@ pub fn run(arguments: &Key, output: &Output) -> Result<()> {
             return refused(
                 Code::DeviceRefused,
                 "the device cannot read its own key and refuses all writes",
-                "erase the key by the gesture on the board's page, then run `wimu key set`",
+                "erase the key by the gesture on the board's page, then run `wimu device key set`",
             );
         }
         (KeyAction::Set, Some(_), Some(_)) => {
-            output
-                .print("the device already has this computer's key; `wimu key rotate` replaces it");
+            output.print(
+                "the device already has this computer's key; `wimu device key rotate` replaces it",
+            );
         }
         (KeyAction::Forget, None, _) => {
             let file = folder.file(device);
@@ -75,7 +76,7 @@ pub fn run(arguments: &Key, output: &Output) -> Result<()> {
             return refused(
                 Code::KeyNeeded,
                 "the device has no key to rotate",
-                "run `wimu key set` over the cable",
+                "run `wimu device key set` over the cable",
             );
         }
         (KeyAction::Forget, Some(_), Some(_)) => {

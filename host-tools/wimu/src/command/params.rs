@@ -1,4 +1,4 @@
-//! `wimu params`.
+//! `wimu device params`.
 
 use std::path::Path;
 
@@ -93,7 +93,7 @@ fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output:
     difference.notes.iter().for_each(|note| output.print(note));
 }
 
-/// Writes the parameters to a file for `params push`.
+/// Writes the parameters to a file for `device params push`.
 fn save(path: &Path, parameters: Option<&ParameterSet>, device_id: u64) -> Result<()> {
     let Some(set) = parameters else {
         return Err(Code::DataRefused.error(

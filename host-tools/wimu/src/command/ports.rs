@@ -1,4 +1,4 @@
-//! `wimu ports`.
+//! `wimu device ports`.
 
 use serde::Serialize;
 use wimu_host::client::{Client, ConnectOptions};

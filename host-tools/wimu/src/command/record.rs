@@ -39,11 +39,8 @@ struct Link {
 pub fn run(arguments: &Record, output: &Output) -> Result<()> {
     let end = deadline(arguments.seconds);
     let stop = interrupted()?;
-    let links = [Some(&arguments.link), arguments.cable.as_ref()]
-        .into_iter()
-        .flatten()
-        .map(|link| link.parse::<LinkUrl>())
-        .collect::<Result<Vec<_>>>()?;
+    let links = arguments.links.iter().map(|link| link.parse());
+    let links = links.collect::<Result<Vec<LinkUrl>>>()?;
     let recorder = Recorder::connect(&links)?.with_patience(arguments.reconnect);
     for hello in recorder.hellos() {
         output.print(format!(

@@ -1,4 +1,4 @@
-//! `wimu report-bug`: one file for those who look for the fault.
+//! `wimu device report-bug`: one file for those who look for the fault.
 
 use std::fmt::Write as _;
 use std::thread;
@@ -54,8 +54,7 @@ struct Written {
 }
 
 pub fn run(arguments: &ReportBug, output: &Output) -> Result<()> {
-    let links = [Some(&arguments.link), arguments.cable.as_ref()];
-    let links = links.into_iter().flatten().map(|link| link.parse());
+    let links = arguments.links.iter().map(|link| link.parse());
     let links = links.collect::<Result<Vec<LinkUrl>>>()?;
     output.print(format!(
         "listening for {:.0} s; do what shows the fault",

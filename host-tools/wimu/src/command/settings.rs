@@ -1,10 +1,11 @@
-//! `wimu settings`.
+//! `wimu device settings`.
 
 use serde::Serialize;
 use wimu_host::Result;
+use wimu_link::LinkRole;
 use wimu_link::message::{Resolution, Settings, Streams};
 
-use crate::arguments::{self, Carried, Change, Switch};
+use crate::arguments::{self, Carried, Change, PerLink, Switch};
 use crate::command::{connect_to_read, connect_to_write, params};
 use crate::output::Output;
 
@@ -87,9 +88,9 @@ pub fn run(action: &arguments::Settings, output: &Output) -> Result<()> {
 }
 
 fn changed(now: Settings, change: &Change) -> Settings {
-    let streams = |now: Streams, wanted: &Option<Vec<Carried>>, batch: Option<u8>, every| {
-        let batch = batch.or(change.batch).unwrap_or(now.batch);
-        let every = Option::unwrap_or(every, now.every);
+    let streams = |now: Streams, wanted: &Option<Vec<Carried>>, link| {
+        let batch = PerLink::of(&change.batch, link).unwrap_or(now.batch);
+        let every = PerLink::of(&change.every, link).unwrap_or(now.every);
         match wanted {
             None => Streams { batch, every, ..now },
             Some(wanted) => {
@@ -116,13 +117,8 @@ fn changed(now: Settings, change: &Change) -> Settings {
         },
         zupt: change.zupt.map_or(now.zupt, |zupt| zupt == Switch::On),
         gravity_um_s2: change.gravity.map_or(now.gravity_um_s2, |mps2| (mps2 * 1e6).round() as u32),
-        cable: streams(now.cable, &change.cable, change.cable_batch, change.cable_every),
-        wireless: streams(
-            now.wireless,
-            &change.wireless,
-            change.wireless_batch,
-            change.wireless_every,
-        ),
+        cable: streams(now.cable, &change.cable, LinkRole::Cable),
+        wireless: streams(now.wireless, &change.wireless, LinkRole::Wireless),
     }
 }
 

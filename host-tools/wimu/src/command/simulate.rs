@@ -10,7 +10,7 @@ use wimu_host::{Code, Problem, Result};
 use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::{Board, BoardConfig, SensorPart};
-use wimu_sim::faults::{FaultCounts, LinkFaults, PRESETS};
+use wimu_sim::faults::{FaultCounts, LinkFaults, PRESETS, SensorFault};
 use wimu_sim::motion;
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
@@ -56,7 +56,8 @@ struct LinkTruth {
 }
 
 pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
-    let [cable_faults, wireless_faults] = faults_of(&arguments.faults)?;
+    let faults = Faults::of(&arguments.faults)?;
+    let [cable_faults, wireless_faults] = faults.links;
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
             .map_err(|error| Problem::file(&path.display().to_string(), "read", &error))?,
@@ -70,7 +71,7 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
         cable_faults,
         wireless_faults,
         fault_seed: arguments.seed,
-        clock_error_ppb: (arguments.clock_ppm * 1e3).round() as i32,
+        clock_error_ppb: (faults.clock_ppm * 1e3).round() as i32,
         storage,
         sensor: part,
         replay: arguments.replay.is_some(),
@@ -134,13 +135,11 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
     output.object(&listening);
     let stop = interrupted()?;
     let mut done_at = None;
-    let mut presses = arguments.press.clone();
-    presses.sort_by(f64::total_cmp);
-    let mut presses = (1..).zip(presses).peekable();
+    let mut presses = (1..).zip(faults.presses_s).peekable();
     let mut before_us = None;
     server.run(|board| {
         let now_us = board.now_us();
-        for fault in &arguments.sensor_fault {
+        for fault in &faults.sensor {
             fault.apply(part, board.sensor(), before_us, now_us);
         }
         before_us = Some(now_us);
@@ -183,7 +182,7 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
         })
     };
     let truth = Truth {
-        clock_ppm: arguments.clock_ppm,
+        clock_ppm: faults.clock_ppm,
         cable: truth(LinkRole::Cable),
         wireless: truth(LinkRole::Wireless),
     };
@@ -207,64 +206,97 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
 /// The sensor, and a second one.
 fn sensors(arguments: &Simulate) -> Result<(SensorPart, Option<SensorPart>)> {
     use SensorPart::{Adxl345, Lsm303agr};
-    let parts: Vec<SensorPart> = arguments.sensor.iter().map(|s| (*s).into()).collect();
+    let parts: Vec<SensorPart> = arguments.chip.iter().map(|chip| (*chip).into()).collect();
     match parts[..] {
         [part] => Ok((part, None)),
         [first @ Lsm303agr, second @ Adxl345] | [first @ Adxl345, second @ Lsm303agr] => {
             match arguments.replay {
                 None => Ok((first, Some(second))),
-                Some(_) => Err(usage("--replay replays one sensor", "give one --sensor")),
+                Some(_) => Err(usage("--replay replays one sensor", "give one --chip")),
             }
         }
         _ => Err(usage(
-            "--sensor: these sensors are not simulated on one board",
+            "--chip: these sensors are not simulated on one board",
             "give one, or lsm303agr,adxl345",
         )),
     }
 }
 
-/// The faults of the cable and of the wireless link.
-fn faults_of(specs: &[String]) -> Result<[LinkFaults; 2]> {
-    let mut texts = [Vec::new(), Vec::new()];
-    for spec in specs {
-        // A link prefix holds until the next one.
-        let mut link = 1;
-        for part in spec.split(',').map(str::trim) {
-            let fault = match (part.strip_prefix("cable:"), part.strip_prefix("wireless:")) {
-                (Some(fault), _) => {
-                    link = 0;
-                    fault
+/// Everything that `--faults` names.
+#[derive(Default)]
+struct Faults {
+    /// Of the cable and of the wireless link.
+    links: [LinkFaults; 2],
+    sensor: Vec<SensorFault>,
+    clock_ppm: f64,
+    /// Times at which the button is pressed, s, in order.
+    presses_s: Vec<f64>,
+}
+
+impl Faults {
+    fn of(specs: &[String]) -> Result<Self> {
+        let mut faults = Self::default();
+        let mut texts = [Vec::new(), Vec::new()];
+        for spec in specs {
+            // A link prefix holds until the next one.
+            let mut link = 1;
+            for part in spec.split(',').map(str::trim) {
+                let prefixed =
+                    ["cable:", "wireless:"].iter().position(|name| part.starts_with(name));
+                link = prefixed.unwrap_or(link);
+                let fault = match prefixed {
+                    Some(_) => part.split_once(':').map_or(part, |(_, fault)| fault),
+                    None => part,
+                };
+                if !faults.take(fault)? {
+                    texts[link].push(fault);
                 }
-                (_, Some(fault)) => {
-                    link = 1;
-                    fault
-                }
-                _ => part,
-            };
-            texts[link].push(fault);
+            }
         }
+        faults.links = [of_link(&texts[0])?, of_link(&texts[1])?];
+        faults.presses_s.sort_by(f64::total_cmp);
+        Ok(faults)
     }
-    let read = |texts: &Vec<&str>| {
-        let text = texts.join(",");
-        text.parse().map_err(|error| {
-            let presets: Vec<_> = PRESETS.iter().map(|(name, ..)| *name).collect();
-            usage(
-                format!("--faults: {error}"),
-                format!(
-                    "give presets ({}) or faults such as loss=2%,bits=1e-4,jitter=50ms,stall=3s@30s; see `wimu simulate --help`",
-                    presets.join(", ")
-                ),
-            )
-        })
-    };
-    Ok([read(&texts[0])?, read(&texts[1])?])
+
+    /// Takes a fault of the board itself; returns whether it is one.
+    fn take(&mut self, fault: &str) -> Result<bool> {
+        let number = |text: &str, unit: &str, least: f64, most: f64| {
+            let value = text.strip_suffix(unit).and_then(|text| text.parse().ok());
+            value.filter(|value| (least..=most).contains(value)).ok_or_else(|| {
+                let message = format!("--faults: `{fault}` is no fault");
+                usage(message, format!("give a number from {least} to {most} with the unit {unit}"))
+            })
+        };
+        match fault.split_once('=') {
+            Some(("clock", text)) => self.clock_ppm = number(text, "ppm", -1e4, 1e4)?,
+            Some(("press", text)) => self.presses_s.push(number(text, "s", 0.0, 1e9)?),
+            _ => match fault.parse() {
+                Ok(fault) => self.sensor.push(fault),
+                Err(_) => return Ok(false),
+            },
+        }
+        Ok(true)
+    }
+}
+
+fn of_link(texts: &[&str]) -> Result<LinkFaults> {
+    texts.join(",").parse().map_err(|error| {
+        let presets: Vec<_> = PRESETS.iter().map(|(name, ..)| *name).collect();
+        usage(
+            format!("--faults: {error}"),
+            format!(
+                "give presets ({}) or faults such as loss=2%,bits=1e-4,jitter=50ms,stall=3s@30s; see `wimu simulate --help`",
+                presets.join(", ")
+            ),
+        )
+    })
 }
 
 /// Raw counts of a CSV file in LSB.
 fn counts_of(arguments: &Simulate, path: &Path) -> Result<Vec<Counts>> {
     let mut load = ReadOptions::default();
     load.filter = arguments.filter.clone();
-    let selection = Selection { accelerometer: arguments.accelerometer, poses: false };
+    let selection = Selection { accelerometer: arguments.sensor, poses: false };
     formats::load(path, &load)?.samples(selection)?.counts()
 }
 
@@ -276,7 +308,7 @@ mod tests {
     fn a_link_prefix_holds_until_the_next_one() {
         let of = |specs: &[&str]| {
             let specs: Vec<_> = specs.iter().map(|spec| (*spec).to_owned()).collect();
-            faults_of(&specs).unwrap()
+            Faults::of(&specs).unwrap().links
         };
         let expected = of(&["latency=20ms,loss=2%", "cable:latency=2ms,bits=1e-5"]);
         assert_ne!(expected[0], expected[1]);
@@ -287,6 +319,6 @@ mod tests {
         ] {
             assert_eq!(of(specs), expected, "{specs:?}");
         }
-        assert!(faults_of(&["usb:latency=2ms".to_owned()]).is_err());
+        assert!(Faults::of(&["usb:latency=2ms".to_owned()]).is_err());
     }
 }

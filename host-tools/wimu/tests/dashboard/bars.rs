@@ -30,7 +30,7 @@ fn two_boards_at_1_khz() {
     let mut browser = Browser::start(folder.path());
     let [one, two] = ["1", "2"].map(|seed| Simulator::start(&["--seed", seed]));
     for board in [&one, &two] {
-        wimu(&["settings", "set", &board.cable, "--rate", "1344"]).succeeds();
+        wimu(&["device", "settings", "set", &board.cable, "--rate", "1344"]).succeeds();
     }
     let served = Served::start(folder.path(), &[&one.cable, &two.cable]);
     let tab = browser.open(&served.url, 1200, false);
@@ -136,7 +136,7 @@ fn pictures() {
     let mut browser = Browser::start(folder.path());
     record_motion("twelve-poses,slide", 3, folder.path().join("session.mcap").to_str().unwrap());
     let board =
-        Simulator::start(&["--sensor", "lsm6dso", "--motion", "twelve-poses,slide", "--seed", "4"]);
+        Simulator::start(&["--chip", "lsm6dso", "--motion", "twelve-poses,slide", "--seed", "4"]);
     let served = Served::start(folder.path(), &[&board.wireless, &board.cable]);
     let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/pictures");
     let tab = browser.open(&served.url, 1200, false);

@@ -209,7 +209,7 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     browser.until(&tab, "document.body.innerText.includes('Calibrated. Push it to the board')");
     browser.click(&tab, "Push to the board");
     browser.until(&tab, "document.body.innerText.includes('Calibrated and pushed')");
-    assert_eq!(wimu(&["params", "get", &board.wireless]).succeeds()["calibrated"], true);
+    assert_eq!(wimu(&["device", "params", "get", &board.wireless]).succeeds()["calibrated"], true);
 
     // The board is killed and comes back.
     drop(board);

@@ -316,14 +316,14 @@ fn filled(line: &str, tmp: &Path, board: Option<&Board>) -> String {
 /// A folder with `accelerometer.mcap` and `gyroscope.mcap` of `wimu demo`, made once.
 fn demo() -> &'static str {
     const LINES: [&str; 2] =
-        ["demo --report {}/accelerometer.html", "demo --sensor lsm6dso --report {}/gyroscope.html"];
+        ["demo --report {}/accelerometer.html", "demo --chip lsm6dso --report {}/gyroscope.html"];
     static FOLDER: OnceLock<String> = OnceLock::new();
     FOLDER.get_or_init(|| made("golden-demo", &LINES))
 }
 
 /// A folder with the walks of `wimu demo --localize`, made once: ranges, anchors, a unit on a shoe, fixes.
 fn walks() -> &'static str {
-    const LINES: [&str; 1] = ["demo --localize --files {} --report {}/localize.html"];
+    const LINES: [&str; 1] = ["demo --localize {} --report {}/localize.html"];
     static FOLDER: OnceLock<String> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = made("golden-walks", &LINES);

@@ -72,7 +72,7 @@ impl Gateway {
         let mut process = Background::start_by(
             &program,
             Path::new("/nonexistent"),
-            &["gateway", "--config", file.to_str().expect("text")],
+            &["fleet", "gateway", "--config", file.to_str().expect("text")],
         );
         let line = process.line();
         let Ok(started) = serde_json::from_str::<Value>(&line) else {

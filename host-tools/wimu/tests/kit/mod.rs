@@ -391,7 +391,7 @@ impl Simulator {
     /// takes, and returns what the recorder reports.
     #[cfg(unix)]
     pub fn record_samples(&self, links: Links, file: &str, samples: u64) -> Value {
-        let both = ["record", &self.wireless, "--cable", &self.cable, "-o", file];
+        let both = ["record", &self.wireless, &self.cable, "-o", file];
         let arguments = match links {
             Links::Both => &both[..],
             Links::Cable => &["record", &self.cable, "-o", file],

@@ -1,5 +1,6 @@
 //! `wimu demo --localize`: simulated walks with ranges, a unit on a shoe, and position fixes.
 
+use std::path::Path;
 use std::time::Instant;
 
 use serde::Serialize;
@@ -139,7 +140,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     f64::sqrt(sum / count)
 }
 
-pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
+pub fn run(arguments: &Demo, folder: Option<&Path>, output: &Output) -> Result<()> {
     let began = Instant::now();
     let walks = Walks::new(arguments.seed)?;
     let found = Demonstrated::of(&walks, arguments);
@@ -161,7 +162,7 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     if let Some(folder) = &arguments.pictures {
         chart::write_all(folder, &charts)?;
     }
-    if let Some(folder) = &arguments.files {
+    if let Some(folder) = folder {
         walks.write(folder)?;
     }
     output.print(format!(

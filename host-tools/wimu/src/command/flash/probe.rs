@@ -79,7 +79,7 @@ pub fn write(image: &Image, arguments: &Flash, output: &Output) -> Result<()> {
     let started = session.core(0).and_then(|mut core| core.reset());
     started.map_err(|error| failed("the image is written, but the chip did not start", &error))?;
     output.print(format!(
-        "wrote {bytes} bytes of {} to the {}; `wimu ports` shows its port",
+        "wrote {bytes} bytes of {} to the {}; `wimu device ports` shows its port",
         image.file.display(),
         image.board.name()
     ));
@@ -101,7 +101,7 @@ fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
             DebugProbeSelector::from_str(text).map_err(|error| {
                 usage(
                     format!("`{text}` is not a probe selector: {error}"),
-                    "give VENDOR:PRODUCT or VENDOR:PRODUCT:SERIAL, as `wimu flash --list` shows them",
+                    "give VENDOR:PRODUCT or VENDOR:PRODUCT:SERIAL, as `wimu device flash --list` shows them",
                 )
             })
         })

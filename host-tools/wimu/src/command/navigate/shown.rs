@@ -91,7 +91,8 @@ pub fn corrected_there(arguments: &Navigate, link: &str) -> Result<()> {
     if arguments.calibration.is_empty() && arguments.sensitivity.is_none() {
         return Ok(());
     }
-    let remedy = format!("write the calibration to the board: `wimu params push {link} CAL.json`");
+    let remedy =
+        format!("write the calibration to the board: `wimu device params push {link} CAL.json`");
     Err(usage("a board corrects its samples itself", remedy))
 }
 

@@ -42,7 +42,7 @@ pub struct Sensor {
 ///
 /// # fn read() -> Option<(DeviceTimeUs, Counts)> { None }
 /// # let (set, mut uart) = (set()?, |_: &[u8]| Ok::<(), core::fmt::Error>(()));
-/// // let set = include_bytes!("sensor.wimu"): `wimu export CAL.json --format device -o sensor.wimu`
+/// // let set = include_bytes!("sensor.wimu"): `wimu convert CAL.json --to device -o sensor.wimu`
 /// let corrector = CompiledSet::from_bytes(&set)?.corrector(None);
 /// let period = PeriodNs(5_000_000);
 /// let mut integrator = Integrator::three_axes(Config::new(period)?);

@@ -66,7 +66,7 @@ impl Corrector {
     /// ```
     /// use wimu_model::{Corrector, CorrectorParts, Counts};
     ///
-    /// /// From `wimu export CAL.json --format rust`.
+    /// /// From `wimu convert CAL.json --to rust`.
     /// const PARTS: CorrectorParts = CorrectorParts {
     ///     shift: 9,
     ///     coefficients: [[658_113_141, 0, 0], [0, 658_113_141, 0], [0, 0, 658_113_141]],

@@ -1,6 +1,6 @@
 //! Counts → [`Corrector`] → [`Integrator`] in a blocking loop, on any microcontroller: the crates
-//! stand alone. `read` is your sensor's driver; `corrector` is what `wimu export CAL.json --format rust`
-//! wrote, or that of a `wimu_model::CompiledSet` (`--format device`). [`blocking`] includes the driver, on `embedded-hal`.
+//! stand alone. `read` is your sensor's driver; `corrector` is what `wimu convert CAL.json --to rust`
+//! wrote, or that of a `wimu_model::CompiledSet` (`--to device`). [`blocking`] includes the driver, on `embedded-hal`.
 //! `wimu_link::stream` makes such a device one that `wimu monitor` reads.
 
 #![no_std]

@@ -370,7 +370,7 @@ impl<'a> Corrector<'a> {
             ),
             (None, None) => wrong(
                 "its accelerations are raw counts, of which nothing says what they are",
-                "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --calibration CAL.json; or say what the \
+                "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --with CAL.json; or say what the \
                  counts are, --sensitivity LSB_PER_G",
             ),
         }

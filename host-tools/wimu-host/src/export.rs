@@ -103,7 +103,7 @@ pub fn to_csv(
         if source.sensor > 0 {
             return Err(Code::Usage.error(
                 format!("a link's error model does not apply to sensor {}", source.sensor),
-                "leave out --link-model, or --sensor",
+                "leave out --with, or --sensor",
             ));
         }
         model.check_role(role)?;

@@ -80,7 +80,7 @@ const UNSUPPORTED: &str = "unsupported";
 /// In the order in which they are tried.
 #[rustfmt::skip]
 const FORMATS: &[Format] = &[
-    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read, takes: &["link"] },
+    Format { name: OF_WIMU, detect: wimu::detect, read: wimu::read, takes: &["topic", "link"] },
     Format { name: "ROS 1 bag", detect: ros::bag::detect, read: ros::bag::read, takes: OF_LOGS },
     Format { name: "ROS 2 MCAP", detect: ros::mcap::detect, read: ros::mcap::read, takes: OF_LOGS },
     Format { name: "ROS 2 sqlite", detect: ros::db3::detect, read: ros::db3::read, takes: OF_LOGS },
@@ -175,7 +175,8 @@ fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
         options.units.is_some(),
         options.rate_hz.is_some(),
         options.zero_count.is_some(),
-        options.role.is_some(),
+        // The topic names it.
+        options.role.is_some() && options.topic.is_none(),
     ];
     let mut given = given.into_iter().zip(ALL_OPTIONS);
     match given.find(|(given, option)| *given && !format.takes.contains(option)) {

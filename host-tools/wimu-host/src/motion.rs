@@ -127,7 +127,7 @@ impl MotionRecording {
     pub(crate) fn without_field(&self) -> &'static str {
         if self.field_uncalibrated {
             "there is a magnetometer, but it is not calibrated and not used (calibrate it with `wimu calibrate FILE --sensor \
-             magnetometer --with CAL.json -o BOTH.json`, then navigate with --calibration BOTH.json)"
+             magnetometer --with CAL.json -o BOTH.json`, then navigate with --with BOTH.json)"
         } else {
             "no magnetometer"
         }

@@ -266,7 +266,7 @@ def test_a_saved_calibration_corrects_as_the_object_and_the_command_do():
     found.save(here / "CAL.json")
     by_object, by_file = wimu.apply(found, recording), wimu.apply(here / "CAL.json", path, output=here / "ours.csv")
     assert np.array_equal(by_object.specific_force, by_file.specific_force)
-    run("apply", here / "CAL.json", path, "-o", here / "theirs.csv")
+    run("convert", path, "--with", here / "CAL.json", "-o", here / "theirs.csv")
     assert (here / "ours.csv").read_text() == (here / "theirs.csv").read_text()
     norms = np.linalg.norm(by_object.specific_force[:300], axis=1)
     assert abs(norms.mean() - GRAVITY) < 0.02 and by_object.angular_rate is None
@@ -314,7 +314,7 @@ def test_moves_of_a_recording_of_wimu_equal_those_of_the_command_line():
     for link in ("cable", "wireless"):
         of_link = wimu.read(next(here.glob("*.mcap")), link=link)
         path = wimu.navigate(of_link)
-        told = run("navigate", next(here.glob("*.mcap")), "--link", link)["path"]
+        told = run("navigate", next(here.glob("*.mcap")), "--topic", link)["path"]
         lengths = [move.length if move.valid else None for move in path.moves]
         assert lengths == [move["length_m"] for move in told["moves"]]
         assert [move.start for move in path.moves] == [move["from_s"] for move in told["moves"]]

@@ -1,8 +1,8 @@
 //! The commands and their options.
 
 mod aids;
-mod apply;
 mod calibration;
+mod convert;
 mod device;
 mod fleet;
 mod navigate;
@@ -11,8 +11,8 @@ mod relations;
 mod values;
 
 pub use aids::{Aids, MotionProfile};
-pub use apply::Apply;
-pub use calibration::{Align, Allan, Calibrate, Calibrated, Method};
+pub use calibration::{Align, Allan, Calibrate, Method};
+pub use convert::{Convert, Target};
 pub use device::{
     Board, Carried, Change, Device, Flash, Key, KeyAction, Params, PerLink, Ports, ReportBug,
     Resolution, Settings,
@@ -68,8 +68,9 @@ impl Arguments {
     pub fn take_standard_input(&mut self) -> Result<Option<StandardInput>> {
         let mut text = None;
         let mut inputs = match &mut self.command {
-            Command::Apply(arguments) => vec![&mut arguments.calibration, &mut arguments.input],
-            Command::Export(arguments) => vec![&mut arguments.input],
+            Command::Convert(arguments) => {
+                arguments.with.iter_mut().chain([&mut arguments.input]).collect()
+            }
             Command::Navigate(arguments) => vec![&mut arguments.input],
             Command::Info(Info { input, .. })
             | Command::Calibrate(Calibrate { input, .. })
@@ -118,10 +119,8 @@ pub enum Command {
     Record(Record),
     /// Show what a recording of any format contains, or which device is on a link
     Info(Info),
-    /// Convert a recording to a table, or a calibration to a source file
-    Export(Export),
-    /// Correct a recording of any format by a calibration
-    Apply(Apply),
+    /// Convert a recording of any format, or a calibration to a source file
+    Convert(Convert),
     /// Estimate the error model of an accelerometer, an array or a magnetometer
     Calibrate(Calibrate),
     /// Estimate the rotation from the sensor to the body that it is mounted on
@@ -376,106 +375,14 @@ pub struct Compare {
     /// A recording of both links, or a CSV file of the reference
     pub input: String,
     /// CSV file of another device in the same motion, which must not be periodic
-    #[arg(conflicts_with_all = ["output", "report", "pictures"])]
+    #[arg(conflicts_with_all = ["output", "report"])]
     pub other: Option<String>,
-    /// Write the error model of the wireless link to this file, for `wimu export --link-model`
+    /// Write the error model of the wireless link to this file, for `wimu convert --with`
     #[arg(short, long, value_name = "LINK.json")]
     pub output: Option<PathBuf>,
     /// Write a report with pictures to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the pictures to this folder, as SVG
-    #[arg(long, value_name = "FOLDER")]
-    pub pictures: Option<PathBuf>,
-}
-
-#[derive(Args)]
-#[command(after_help = "\
-Examples:
-  wimu export session.mcap -o session.csv --stream corrected
-  wimu export session.mcap --merge -o merged.csv
-  wimu export CAL.json --format c -o wimu_calibration.h
-  wimu export CAL.json --format device -o sensor.wimu
-  wimu export CAL.json --format kalibr --noise NOISE.json -o imu.yaml
-  wimu export session.mcap --format ros -o topics.mcap
-
-- stands for standard input or output.")]
-pub struct Export {
-    /// A recording for the formats csv and ros, or a calibration for all but csv
-    pub input: PathBuf,
-    /// File to write [default: a calibration is printed]
-    #[arg(short, long, value_name = "FILE")]
-    pub output: Option<PathBuf>,
-    /// Format of the output
-    #[arg(long, value_enum, default_value_t = ExportFormat::Csv)]
-    pub format: ExportFormat,
-    /// Output of `wimu allan --json`: noise figures for kalibr
-    #[arg(long, value_name = "NOISE.json")]
-    pub noise: Option<PathBuf>,
-    /// Correct the samples with this link's error model, which `wimu compare -o` wrote
-    #[arg(long, value_name = "LINK.json")]
-    pub link_model: Option<PathBuf>,
-    /// Stream to write. Only `corrected` has the corrected magnetic field, where `Field Calibrated` is 1
-    #[arg(long, value_enum, default_value_t = Stream::Raw)]
-    pub stream: Stream,
-    /// Index of the sensor whose samples a CSV table has; those above 0 have raw samples only
-    #[arg(long, value_name = "INDEX", default_value_t = 0)]
-    pub sensor: u8,
-    /// Merge accelerometers of different full scale into one: counts of the finest, range of the widest
-    #[arg(long, conflicts_with_all = ["sensor", "stream", "link_model"])]
-    pub merge: bool,
-    /// Link of the recording to use [default: the cable if it was recorded]
-    #[arg(long, value_enum)]
-    pub link: Option<Role>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExportFormat {
-    /// CSV table
-    Csv,
-    /// Recording with decoded ROS 2 topics added (MCAP), or calibration for the ROS package imu_calib
-    #[value(alias = "mcap")]
-    Ros,
-    /// Calibration as a Rust module without dependencies
-    Rust,
-    /// Calibration as a C header without dependencies
-    C,
-    /// Calibration as a Python module with NumPy
-    Numpy,
-    /// Calibration as a MATLAB or Octave function
-    Matlab,
-    /// Calibration as an IMU file for Kalibr
-    Kalibr,
-    /// Calibration as parameters of PX4, for QGroundControl
-    Px4,
-    /// Calibration as parameters of ArduPilot
-    Ardupilot,
-    /// Calibration as the bytes of a `CompiledSet`, for `wimu-model` on a device
-    Device,
-}
-
-/// A stream of a recording.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum Stream {
-    Raw,
-    Corrected,
-    Navigation,
-}
-
-/// A link of a board.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum Role {
-    Cable,
-    Wireless,
-}
-
-impl From<Role> for wimu_link::LinkRole {
-    fn from(role: Role) -> Self {
-        match role {
-            Role::Cable => Self::Cable,
-            Role::Wireless => Self::Wireless,
-        }
-    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]

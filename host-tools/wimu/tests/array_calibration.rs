@@ -124,10 +124,10 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "m/s²"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let ran = wimu(&["calibrate", &rests, "--geometry", &positions, "-o", &array]);
+    let ran = wimu(&["calibrate", &rests, "--setup", &positions, "-o", &array]);
     let found = ran.succeeds();
     let mut texts = Transcript::default();
-    texts.text("calibrate --geometry", &ran);
+    texts.text("calibrate --setup", &ran);
     assert!(found["disagreement_m_s2"].as_f64().unwrap() < 0.005, "{found}");
     // It never turned fast: positions and delays stay as given.
     assert!(found["refined"].is_null(), "{found}");
@@ -158,7 +158,7 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         .map(|k| {
             let file = folder.path().join(format!("CAL{k}.json")).display().to_string();
             let number = k.to_string();
-            wimu(&["calibrate", &rests, "--accelerometer", &number, "-o", &file]).succeeds();
+            wimu(&["calibrate", &rests, "--sensor", &number, "-o", &file]).succeeds();
             file
         })
         .collect();
@@ -166,7 +166,7 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         let mut arguments = vec!["navigate", &later, "--geometry", &positions];
         arguments.extend(["--sensitivity", "4096"]);
         for k in order {
-            arguments.extend(["--calibration", &files[*k]]);
+            arguments.extend(["--with", &files[*k]]);
         }
         wimu(&arguments)
     };
@@ -178,5 +178,5 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
     texts.fails("two of four", &navigate(&[0, 1]), 2, "usage");
     texts.check("navigate_calibrations_one_by_one");
     // Without their positions they are no array.
-    wimu(&["navigate", &later, "--calibration", &files[0]]).fails(2, "csv_missing_column");
+    wimu(&["navigate", &later, "--with", &files[0]]).fails(2, "csv_missing_column");
 }

@@ -81,7 +81,7 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
         assert_eq!(clocks.count(), 2, "{object}");
     }
     // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
-    let calibrate = ["calibrate", a, b, a, b, "--geometry", &positions];
+    let calibrate = ["calibrate", a, b, a, b, "--setup", &positions];
     wimu(&calibrate).fails(3, "data_refused");
     wimu(&["navigate", a, b]).fails(2, "usage");
     wimu(&["navigate", a, b, "--geometry", &positions]).fails(2, "usage");

@@ -101,12 +101,12 @@ fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
         let advised = ran.succeeds();
         assert!(advised["parameters"].is_null(), "{advised}");
         texts.text("without", &ran);
-        wimu(&["export", &cal, "--format", "c", "-o", &c]).succeeds();
+        wimu(&["convert", &cal, "--to", "c", "-o", &c]).succeeds();
         assert!(fs::read_to_string(&c).unwrap().contains("_MPS2 1.0\n"));
         let ran = wimu(&[of, &["--sensitivity", "16384"]].concat());
         assert_eq!(ran.succeeds()["sensitivity_lsb_per_g"], 16384.0);
         texts.text("--sensitivity 16384", &ran);
-        wimu(&["export", &cal, "--format", "c", "-o", &c]).succeeds();
+        wimu(&["convert", &cal, "--to", "c", "-o", &c]).succeeds();
     }
     texts.check("calibrate_without_sensitivity");
 }

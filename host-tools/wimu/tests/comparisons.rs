@@ -139,7 +139,7 @@ fn samples_out_of_order_are_all_in_the_decoded_topics() {
     let recorded = file(folder.path(), swapped.on(WIRELESS));
     let decoded = folder.path().join("decoded.mcap");
     let decoded = decoded.to_str().unwrap();
-    let found = wimu(&["export", &recorded, "--format", "mcap", "-o", decoded]).succeeds();
+    let found = wimu(&["convert", &recorded, "-o", decoded]).succeeds();
     assert!((1..700).contains(&found["late"].as_u64().unwrap()), "{found}");
     assert_eq!(found["messages"]["/wireless/imu/data_raw"], 1600, "{found}");
 }
@@ -166,7 +166,7 @@ fn a_board_that_cannot_count_its_starts_has_two_all_the_same() {
     assert_eq!(found["samples"], 2560, "{found}");
     // Times go on over the restart, the first start's from 1 s on, the second's from 31 s.
     let table = folder.path().join("a.csv").display().to_string();
-    wimu(&["export", &session, "-o", &table]).succeeds();
+    wimu(&["convert", &session, "-o", &table]).succeeds();
     let text = fs::read_to_string(&table).unwrap();
     let times: Vec<f64> =
         text.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
@@ -188,7 +188,7 @@ fn batches_at_the_very_end_whose_start_is_unknown_are_counted_and_reported() {
     assert_eq!(ran.succeeds()["links"][0]["unplaced"], 6);
     texts.text("compare", &ran);
     let output = folder.path().join("decoded.mcap").display().to_string();
-    let ran = wimu(&["export", &session, "--format", "mcap", "-o", &output]);
+    let ran = wimu(&["convert", &session, "-o", &output]);
     ran.succeeds();
     texts.text("export", &ran);
     texts.check("unplaced_batches");
@@ -252,7 +252,7 @@ fn a_link_model_takes_off_what_the_comparison_found() {
     let exported = |link: &str, more: &[&str]| -> Vec<i32> {
         let table = folder.path().join(format!("{link}{}.csv", more.len()));
         let table = table.to_str().unwrap();
-        let export = ["export", &session, "-o", table, "--format", "csv", "--link", link];
+        let export = ["convert", &session, "-o", table, "--topic", link];
         wimu(&[&export, more].concat()).succeeds();
         let text = fs::read_to_string(table).unwrap();
         let rows = text.lines().skip(1);
@@ -266,5 +266,5 @@ fn a_link_model_takes_off_what_the_comparison_found() {
         apart.max().unwrap()
     };
     assert_eq!(most(exported("wireless", &[])), 40);
-    assert!(most(exported("wireless", &["--link-model", &model])) <= 1);
+    assert!(most(exported("wireless", &["--with", &model])) <= 1);
 }

@@ -80,17 +80,32 @@ fn commands_write_the_frozen_columns_topics_and_keys() {
         Background::start_by(&program, &folder.path().join("board"), &words).finish().succeeds();
         writeln!(found, "{line}").unwrap();
         if let Some(output) = words.iter().position(|word| *word == "-o") {
-            describe(words[0], &folder.path().join(words[output + 1]), &mut found);
+            let calibrated =
+                |word: &&str| word.starts_with("calibrations/") && !word.ends_with("link.json");
+            let what = match (words[0], words.iter().any(calibrated)) {
+                ("convert", true) => What::Corrected,
+                ("convert", false) => What::Exported,
+                _ => What::Other,
+            };
+            describe(what, &folder.path().join(words[output + 1]), &mut found);
         }
     }
     check("commands.txt", &found);
 }
 
+/// What a file holds: samples corrected on the host, a recording's own, or something else.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum What {
+    Corrected,
+    Exported,
+    Other,
+}
+
 /// Describes a file that a command has written.
-fn describe(command: &str, file: &Path, found: &mut String) {
+fn describe(what: What, file: &Path, found: &mut String) {
     let bytes = fs::read(file).expect("an output");
     match file.extension().and_then(|extension| extension.to_str()) {
-        Some("csv") => table(command, &String::from_utf8(bytes).expect("text"), found),
+        Some("csv") => table(what, &String::from_utf8(bytes).expect("text"), found),
         Some("json") => {
             let mut keys = BTreeMap::new();
             structure("", &serde_json::from_slice(&bytes).expect("JSON"), &mut keys);
@@ -98,26 +113,26 @@ fn describe(command: &str, file: &Path, found: &mut String) {
                 writeln!(found, "  {key}: {kind}").unwrap();
             }
         }
-        _ => topics(command, &bytes, found),
+        _ => topics(what, &bytes, found),
     }
 }
 
-/// The header of a table, and the values that `export` and `apply` write: without times, which depend on the clock model.
-fn table(command: &str, text: &str, found: &mut String) {
+/// The header of a table, and the values that `convert` writes: without times, which depend on the clock model.
+fn table(what: What, text: &str, found: &mut String) {
     let mut rows = text.lines();
     writeln!(found, "  {}", rows.next().expect("a header")).unwrap();
     let values = rows.map(|row| row.split(',').skip(1).collect::<Vec<_>>());
-    match command {
-        "export" => {
+    match what {
+        What::Exported => {
             let rows: Vec<String> = values.map(|row| rounded(&row, 9)).collect();
             writeln!(found, "  {} rows, values {}", rows.len(), hash(rows.join("\n"))).unwrap();
         }
-        "apply" => {
+        What::Corrected => {
             let filled = |row: &Vec<&str>| row.iter().filter(|value| !value.is_empty()).count();
             let row = values.max_by_key(filled).expect("a row");
             writeln!(found, "  last full row {}", rounded(&row, 5)).unwrap();
         }
-        _ => {}
+        What::Other => {}
     }
 }
 
@@ -158,14 +173,14 @@ fn structure(at: &str, value: &Value, keys: &mut BTreeMap<String, String>) {
 }
 
 /// The topics of an MCAP file with their types, and its metadata.
-fn topics(command: &str, bytes: &[u8], found: &mut String) {
+fn topics(what: What, bytes: &[u8], found: &mut String) {
     let summary = mcap::Summary::read(bytes).expect("MCAP").expect("a summary");
     let counts = summary.stats.expect("statistics").channel_message_counts;
     let mut lines = BTreeSet::new();
     for (id, channel) in &summary.channels {
         let schema = channel.schema.as_ref().expect("a schema");
-        let count = match command {
-            "export" => format!(", {} messages", counts.get(id).unwrap_or(&0)),
+        let count = match what {
+            What::Exported => format!(", {} messages", counts.get(id).unwrap_or(&0)),
             _ => String::new(),
         };
         lines.insert(format!(

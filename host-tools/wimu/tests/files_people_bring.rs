@@ -128,7 +128,7 @@ fn a_range_that_is_not_given_is_remarked_as_assumed() {
     let guessed = texts.findings("no range", &wimu(&of));
     assert_eq!(guessed["range_source"], "sixteen_bits");
     assert!(guessed["units"]["bias_percent_of_full_scale"].is_null());
-    let export = ["export", &cal, "--format", "c", "-o", &header];
+    let export = ["convert", &cal, "--to", "c", "-o", &header];
     texts.findings("no range, exported", &wimu(&export));
 
     let ran = wimu(&[&of[..], &["--range", "2"]].concat());
@@ -235,7 +235,7 @@ fn the_count_at_zero_is_stored_with_the_calibration() {
     // One orientation does not show the count at zero.
     let row = "30000,30000,38000";
     fs::write(&rest, format!("Time (s),{names}\n0,{row}\n0.01,{row}\n")).unwrap();
-    wimu(&["apply", &cal, &rest, "-o", &out]).succeeds();
+    wimu(&["convert", &rest, "--with", &cal, "-o", &out]).succeeds();
     let corrected = fs::read_to_string(&out).unwrap();
     let z: f64 = (corrected.lines().nth(1).unwrap().split(',').nth(3).unwrap()).parse().unwrap();
     assert!((z - G).abs() < 0.01, "{corrected}");

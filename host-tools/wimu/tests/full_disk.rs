@@ -66,8 +66,8 @@ fn a_full_disk_leaves_the_file_of_before_and_nothing_else() {
         ("allan rest.csv --report", "page.html"),
         ("navigate rest.csv -o", "path.csv"),
         ("navigate rest.csv --report", "page.html"),
-        ("export cal.json --format c -o", "wimu.h"),
-        ("export cal.json --format kalibr -o", "imu.yaml"),
+        ("convert cal.json --to c -o", "wimu.h"),
+        ("convert cal.json --to kalibr -o", "imu.yaml"),
         // Its recording, demo.mcap, comes first.
         ("demo --report demo.html --pictures", "demo.mcap"),
     ];

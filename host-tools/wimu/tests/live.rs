@@ -64,7 +64,7 @@ fn align_listens_until_the_alignment_is_found_and_pushes_it() {
     let board = Simulator::start(&[&motion[..], &["--exit-when-done"]].concat());
     // The sensor's x is the body's z, its y the body's −x: x up, x down, y up, …
     let of = ["align", &board.cable, "--up", "z,-z,-x", "--push", "-o", &aligned];
-    let report = wimu(&[&of[..], &["--calibration", &accelerometer]].concat()).succeeds();
+    let report = wimu(&[&of[..], &["--with", &accelerometer]].concat()).succeeds();
     assert!(report["sd_deg"][0].as_f64().unwrap() < 2.0, "{report}");
     let [before, after] =
         [&accelerometer, &aligned].map(|p| read_parameters(Path::new(p)).unwrap());

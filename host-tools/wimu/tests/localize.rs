@@ -155,7 +155,7 @@ fn a_boards_recording_beside_ranges_is_corrected_with_its_own_calibration() {
     let fixed = ["--ranges", &at("ranges.csv"), "--anchors", &at("anchors.csv")];
     let found = wimu(&[&["navigate", &board, "-o", &own], &fixed[..]].concat()).succeeds();
     assert_eq!(found["method"], "ranges_inertial", "{found}");
-    let with = ["navigate", &board, "-o", &given, "--calibration", &calibration];
+    let with = ["navigate", &board, "-o", &given, "--with", &calibration];
     wimu(&[&with[..], &fixed[..]].concat()).succeeds();
     assert_eq!(times(&own)[0], known[0]);
     let rows = [own, given].map(|file| fs::read_to_string(file).unwrap());

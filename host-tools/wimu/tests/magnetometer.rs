@@ -59,7 +59,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (recording, accelerometer, both) = (path("s.mcap"), path("A.json"), path("BOTH.json"));
     record_motion("twelve-poses,six-positions,tilts", SEED, &recording);
-    let of = ["calibrate", &recording, "--sensor", "magnetometer"];
+    let of = ["calibrate", &recording, "--method", "magnetometer"];
     // The board's accelerometer is uncalibrated, and no other calibration is given.
     wimu(&of).fails(3, "data_refused");
     wimu(&["calibrate", &recording, "-o", &accelerometer]).succeeds();
@@ -67,7 +67,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     let ran = wimu(&[&of[..], &with].concat());
     let report = ran.succeeds();
     let mut texts = Transcript::default();
-    texts.text("calibrate --sensor magnetometer", &ran);
+    texts.text("calibrate --method magnetometer", &ran);
     texts.check("calibrate_magnetometer");
     assert_eq!(report["sensor"], "magnetometer");
     assert!(report["poses"].as_array().unwrap().len() >= 20, "{report}");
@@ -91,7 +91,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     record_calibrated(SensorPart::Lsm303agr, &both, "tilts", SEED, &pushed);
     let spread = |stream: &str| {
         let table = path(&format!("{stream}.csv"));
-        wimu(&["export", &pushed, "-o", &table, "--stream", stream]).succeeds();
+        wimu(&["convert", &pushed, "-o", &table, "--stream", stream]).succeeds();
         let text = fs::read_to_string(&table).unwrap();
         let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
         let header = lines.next().unwrap();
@@ -112,7 +112,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     let (raw, corrected) = (spread("raw"), spread("corrected"));
     assert!(corrected < 3.0 && raw > 10.0, "{raw} {corrected}");
     let topics = path("topics.mcap");
-    let exported = wimu(&["export", &pushed, "--format", "mcap", "-o", &topics]).succeeds();
+    let exported = wimu(&["convert", &pushed, "-o", &topics]).succeeds();
     let count = |topic: &str| exported["messages"][topic].as_u64().unwrap();
     assert!(count("/cable/imu/mag_corrected") > 10, "{exported}");
     assert!(count("/cable/imu/mag") >= count("/cable/imu/mag_corrected"));
@@ -120,7 +120,7 @@ fn a_session_in_many_orientations_gives_the_iron_that_is_there_and_a_field_witho
     // A board reports the calibration of its accelerometer; one pose is too few.
     let still = path("still.mcap");
     record_calibrated(SensorPart::Lsm303agr, &both, "rest", SEED, &still);
-    let alone = wimu(&["calibrate", &still, "--sensor", "magnetometer"]);
+    let alone = wimu(&["calibrate", &still, "--method", "magnetometer"]);
     alone.refuses();
 }
 
@@ -131,7 +131,7 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let (recording, accelerometer, never) = (path("six.mcap"), path("A.json"), path("NO.json"));
     record_motion("six-positions", SEED, &recording);
     wimu(&["calibrate", &recording, "--method", "six-position", "-o", &accelerometer]).succeeds();
-    let with = ["--sensor", "magnetometer", "--with", &accelerometer];
+    let with = ["--method", "magnetometer", "--with", &accelerometer];
     let few = wimu(&[&["calibrate", &recording, "-o", &never][..], &with].concat());
     let mut texts = Transcript::default();
     let report = texts.refuses("six poses", &few);
@@ -152,7 +152,7 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let report = texts.refuses("one orientation", &same);
     assert_eq!(report["poses"].as_array().unwrap().len(), 20);
     // A CSV file does not contain the calibration of its accelerometer.
-    let ran = wimu(&[&of[..], &["--sensor", "magnetometer"]].concat());
+    let ran = wimu(&[&of[..], &["--method", "magnetometer"]].concat());
     texts.fails("accelerometer not calibrated", &ran, 3, "data_refused");
 
     let mut text = axes("Accelerometer", "m/s²");

@@ -22,16 +22,11 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
     let ranges: Vec<f64> = sensors.iter().map(|s| s["range_m_s2"].as_f64().unwrap()).collect();
     assert!((ranges[0] - 19.6).abs() < 0.1 && (ranges[1] - 156.9).abs() < 0.5, "{ranges:?}");
 
-    let raw = wimu(&["export", &session, "--sensor", "1", "-o", &path("coarse.csv")]).succeeds();
+    let raw = wimu(&["convert", &session, "--sensor", "1", "-o", &path("coarse.csv")]).succeeds();
     assert!(raw["rows"].as_u64().unwrap() > 6000);
-    let merged = wimu(&["export", &session, "--merge", "-o", &path("merged.csv")]).succeeds();
-    let relative = &merged["sensors"][1]["relative"];
-    assert!(relative["matrix_sd"].as_f64().unwrap() < 0.01, "{merged}");
-    assert!(merged["sensors"][1]["stands_in"].as_u64().unwrap() > 3, "{merged}");
-    let calibrated = wimu(&["calibrate", &path("merged.csv"), "-o", &path("CAL.json")]);
-    calibrated.succeeds();
+    wimu(&["calibrate", &session, "-o", &path("CAL.json")]).succeeds();
 
-    let navigated = wimu(&["navigate", &session, "--calibration", &path("CAL.json")]).succeeds();
+    let navigated = wimu(&["navigate", &session, "--with", &path("CAL.json")]).succeeds();
     let findings = navigated["problems"].to_string();
     assert!(findings.contains("accelerometers 0 (±2 g), 1 (±16 g) merged"), "{findings}");
     let moves = navigated["path"]["moves"].as_array().unwrap().clone();

@@ -248,8 +248,8 @@ fn options_that_exclude_each_other_are_wrong_usage() {
     usage(&["--rests", "5-2"]);
     usage(&["--rests", "soon"]);
     usage(&["--start", "1,2"]);
-    usage(&["--calibration", "A.json", "--calibration", "B.json"]);
-    usage(&["--link", "cable"]);
+    usage(&["--with", "A.json", "--with", "B.json"]);
+    usage(&["--topic", "cable"]);
     usage(&["-o", &csv]);
     usage(&["--report", &csv]);
     usage(&["--profile", "magic"]);
@@ -325,7 +325,7 @@ fn the_sequence_in_readme_ends_with_the_length_of_the_simulated_slide() {
     // The poses and the slide again and again: the first slide, and what comes after it.
     record_motion("twelve-poses,slide,twelve-poses", 1, &session);
     wimu(&["calibrate", &session, "-o", &cal]).succeeds();
-    let ran = wimu(&["navigate", &session, "--calibration", &cal]);
+    let ran = wimu(&["navigate", &session, "--with", &cal]);
     let report = ran.succeeds();
     // All others rotate.
     let moves = report["path"]["moves"].as_array().unwrap();

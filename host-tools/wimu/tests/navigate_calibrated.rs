@@ -67,7 +67,7 @@ fn a_calibration_from_a_table_corrects_the_tables_of_its_unit() {
         let poses = write(folder.path(), "rests.csv", unit, &rests());
         wimu(&["calibrate", &poses, "-o", &model]).succeeds();
         let csv = write(folder.path(), "slide.csv", other, &slide());
-        let run = ["navigate", &csv, "--calibration", &model];
+        let run = ["navigate", &csv, "--with", &model];
         let case = format!("{other}, calibrated in {unit}");
         let report = texts.findings(case, &wimu(&run));
         let length = report["moves"][0]["length_m"].as_f64().unwrap();
@@ -96,20 +96,20 @@ fn a_calibration_of_another_unit_is_refused_and_each_remedy_works() {
     let counts = write(folder.path(), "counts.csv", "LSB", &slide());
     let si = write(folder.path(), "si.csv", "m/s²", &slide());
     let run = |csv: &str, more: &[&str]| wimu(&[&["navigate", csv], more].concat());
-    let other = ["--calibration", &of_counts, "--sensitivity", "8192"];
+    let other = ["--with", &of_counts, "--sensitivity", "8192"];
     for (case, csv, more) in [
-        ("m/s² by counts", &si, &["--calibration", &of_counts][..]),
-        ("counts by m/s²", &counts, &["--calibration", &of_si]),
+        ("m/s² by counts", &si, &["--with", &of_counts][..]),
+        ("counts by m/s²", &counts, &["--with", &of_si]),
         ("counts, not calibrated", &counts, &[]),
         ("another sensitivity", &counts, &other),
     ] {
         texts.fails(case, &run(csv, more), 2, "unknown_format");
     }
-    run(&counts, &["--calibration", &of_counts]).succeeds();
-    run(&counts, &["--calibration", &of_si, "--sensitivity", "4096"]).succeeds();
+    run(&counts, &["--with", &of_counts]).succeeds();
+    run(&counts, &["--with", &of_si, "--sensitivity", "4096"]).succeeds();
     let ran = run(&counts, &["--sensitivity", "4096"]);
     texts.findings("counts, sensitivity alone", &ran);
-    let twice = ["--calibration", &of_si, "--calibration", &of_si];
+    let twice = ["--with", &of_si, "--with", &of_si];
     texts.fails("two calibrations", &run(&si, &twice), 2, "usage");
     texts.check("navigate_calibration_of_another_unit");
 }
@@ -132,7 +132,7 @@ fn what_a_calibration_leaves_unknown_is_in_the_paths_deviation() {
     }
     fs::write(&csv, text).unwrap();
     let sigma = || {
-        let run = ["navigate", &csv, "--calibration", &model];
+        let run = ["navigate", &csv, "--with", &model];
         let report = wimu(&run).succeeds();
         assert_eq!(report["method"], "strapdown");
         report["final_sigma_m"][0].as_f64().unwrap()

@@ -190,7 +190,7 @@ fn a_recording_and_the_table_exported_from_it_give_the_same_path() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (session, table) = (path("s.mcap"), path("s.csv"));
     record_motion("slide", 4, &session);
-    wimu(&["export", &session, "--stream", "corrected", "-o", &table]).succeeds();
+    wimu(&["convert", &session, "--stream", "corrected", "-o", &table]).succeeds();
     let tilt = |input: &str| wimu(&["navigate", input]).succeeds();
     let (session, of_table) = (tilt(&session), tilt(&table));
     let of_session = &session["path"];

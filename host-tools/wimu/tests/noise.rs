@@ -61,7 +61,7 @@ fn the_noise_of_a_gyroscope_alone_and_beside_an_accelerometer_is_measured() {
         }
         assert!(fs::read_to_string(&page).unwrap().contains("Allan deviation of the gyroscope"));
         fs::write(&json, &ran.stdout).unwrap();
-        wimu(&["export", IDENTITY, "--format", "kalibr", "-o", &yaml, "--noise", &json]).succeeds();
+        wimu(&["convert", IDENTITY, "--to", "kalibr", "-o", &yaml, "--noise", &json]).succeeds();
         let text = fs::read_to_string(&yaml).unwrap();
         let value = |key: &str| -> Option<f64> {
             let mut values = text.lines().filter_map(|line| line.strip_prefix(key));

@@ -97,7 +97,7 @@ fn file(folder: &Path, links: &[Vec<(LinkRole, u64, Vec<u8>)>]) -> String {
 /// The magnitudes of `imu/data_raw` by link, m/s², and the report of the command.
 fn decoded(session: &str, folder: &Path) -> (BTreeMap<String, Vec<f64>>, serde_json::Value) {
     let output = folder.join("decoded.mcap").display().to_string();
-    let report = wimu(&["export", session, "--format", "mcap", "-o", &output]).succeeds();
+    let report = wimu(&["convert", session, "-o", &output]).succeeds();
     let bytes = fs::read(output).unwrap();
     let mut found: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
@@ -224,7 +224,7 @@ fn a_table_of_counts_gives_the_unit_of_each_row_and_is_read_for_one_range() {
     let folder = folder();
     let session = file(folder.path(), &[link(ROLES[0], 0, &[960])]);
     let table = folder.path().join("a.csv").display().to_string();
-    let ran = wimu(&["export", &session, "-o", &table]);
+    let ran = wimu(&["convert", &session, "-o", &table]);
     texts.text("export", &ran);
     let report = ran.succeeds();
     assert_eq!((&report["rows"], &report["without_unit"]), (&SAMPLES.into(), &159.into()));
@@ -259,8 +259,8 @@ fn a_damaged_or_cut_file_is_reported() {
         let copy = folder.path().join(format!("{chunks}.mcap")).display().to_string();
         for arguments in [
             vec!["compare", &session],
-            vec!["export", &session, "-o", &table],
-            vec!["export", &session, "-o", &copy, "--format", "mcap"],
+            vec!["convert", &session, "-o", &table],
+            vec!["convert", &session, "-o", &copy],
             vec!["info", &session],
         ] {
             let ran = wimu(&arguments);

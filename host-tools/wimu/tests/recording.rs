@@ -37,7 +37,7 @@ fn ctrl_c_closes_a_recording_and_a_kill_loses_a_second_at_most() {
         let info = wimu(&["info", cut.to_str().unwrap()]).succeeds();
         assert_eq!(info["truncated"], true);
         let table = folder.path().join(format!("{tenths}.csv"));
-        let exported = wimu(&["export", cut.to_str().unwrap(), "-o", table.to_str().unwrap()]);
+        let exported = wimu(&["convert", cut.to_str().unwrap(), "-o", table.to_str().unwrap()]);
         assert!([0, 2].contains(&exported.code), "{exported:?}");
         if exported.code == 2 {
             exported.fails(2, "no_rows");
@@ -217,7 +217,7 @@ fn rosbags_reads_the_decoded_topics_of_both_links() {
     let info = wimu(&["info", file]).succeeds();
     let raw = info["links"][0]["raw_samples"].as_u64().unwrap();
     let again = folder.path().join("again.mcap");
-    let arguments = ["export", file, "--format", "mcap", "-o", again.to_str().unwrap()];
+    let arguments = ["convert", file, "-o", again.to_str().unwrap()];
     let exported = wimu(&arguments).succeeds();
     assert_eq!(exported["messages"]["/cable/imu/data_raw"], raw);
     assert_eq!(decoded["messages"]["/cable/imu/data_raw"], raw);

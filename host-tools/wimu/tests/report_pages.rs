@@ -147,7 +147,7 @@ fn every_report_works_in_a_browser() {
     assert!(tip.contains(" m/s") && tip.contains("time ") && tip.contains(" s"), "{tip}");
 
     let noise = at("<img src=x onerror=fail()>.csv");
-    let allan = report("allan.html", &["allan", &noise, "--datasheet", "100"]);
+    let allan = report("allan.html", &["allan", &noise]);
     let ticks = &titled(&allan, "Allan")["ticks"];
     assert_eq!(ticks[0].as_array().unwrap()[..3], ["0.01", "0.1", "1"], "{ticks}");
     let poses = at("poses.csv");

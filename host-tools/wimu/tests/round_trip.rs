@@ -136,7 +136,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
         assert_eq!(held["parameter_id"], report["parameter_id"], "{flags:?}");
         for format in ["rust", "c", "kalibr"] {
             let out = path(&format!("{format}{k}"));
-            wimu(&["export", &cal, "--format", format, "-o", &out]).succeeds();
+            wimu(&["convert", &cal, "--to", format, "-o", &out]).succeeds();
             let text = fs::read_to_string(&out).unwrap();
             // Every number of the model is there with all its digits.
             let terms = set.model.terms();
@@ -190,7 +190,7 @@ fn a_stored_calibration_is_checked_by_later_rests_and_brought_up_to_date() {
     let set = read_parameters(Path::new(&newer)).unwrap();
     let quality = set.quality.unwrap();
     assert_eq!(quality.terms().poses as usize, many().len() + 30);
-    wimu(&["export", &newer, "--format", "c", "-o", &path("c")]).succeeds();
+    wimu(&["convert", &newer, "--to", "c", "-o", &path("c")]).succeeds();
     // A sensor that was knocked: refused.
     off(0.3, &rests);
     texts.refuses("bias changed by 0.3 m/s²", &wimu(&update));

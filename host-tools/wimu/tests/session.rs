@@ -52,7 +52,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     // A longer session of the same board.
     record_motion("twelve-poses,slide", 1, &session);
     texts.text("info RECORDING", &wimu(&["info", &session]));
-    let ran = wimu(&["export", &session, "-o", &table]);
+    let ran = wimu(&["convert", &session, "-o", &table]);
     let exported = ran.succeeds();
     texts.text("export", &ran);
     let rows = exported["rows"].as_u64().unwrap();
@@ -61,7 +61,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     assert!(text.starts_with("Time ("), "{}", text.lines().next().unwrap());
     for stream in ["corrected", "navigation"] {
         let out = path(&format!("{stream}.csv"));
-        wimu(&["export", &session, "-o", &out, "--stream", stream]).succeeds();
+        wimu(&["convert", &session, "-o", &out, "--stream", stream]).succeeds();
     }
 
     let report = wimu(&["calibrate", &session, "-o", &cal]).succeeds();
@@ -118,7 +118,7 @@ fn the_whole_loop_from_a_board_to_a_pushed_calibration() {
     for differ in ["corrected_differ", "navigation_differ", "states_differ"] {
         assert_eq!(replay[differ], 0, "{replay}");
     }
-    wimu(&["navigate", &session, "--calibration", &cal, "--zupt", "off"]).succeeds();
+    wimu(&["navigate", &session, "--with", &cal, "--zupt", "off"]).succeeds();
 
     // Settings: refused with the nearest, then taken.
     let ran = wimu(&["device", "settings", "set", &board.cable, "--rate", "333"]);

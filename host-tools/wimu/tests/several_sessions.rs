@@ -55,7 +55,7 @@ fn sessions_are_combined_and_navigation_uses_their_change() {
     let mut texts = Transcript::default();
     let run = |more: &[&str]| wimu(&[&["calibrate", "--poses", &cold], more].concat());
 
-    let ran = run(&[&room, &warm, "--latitude", "45", "--height", "120", "-o", &cal]);
+    let ran = run(&[&room, &warm, "--latitude", "45,120", "-o", &cal]);
     texts.text("three sessions", &ran);
     let report = ran.succeeds();
     assert_eq!(report["gravity_source"], "latitude");
@@ -75,12 +75,11 @@ fn sessions_are_combined_and_navigation_uses_their_change() {
     texts.refuses("one session twice", &run(&[&cold]));
     for (case, more) in [
         ("four-angle", &[room.as_str(), "--method", "four-angle"][..]),
-        ("magnetometer", &[&room, "--sensor", "magnetometer"]),
+        ("magnetometer", &[&room, "--method", "magnetometer"]),
         ("a link", &["tcp://127.0.0.1:7100"]),
-        ("height alone", &["--height", "100"]),
         ("latitude and gravity", &["--latitude", "45", "--gravity", "9.81"]),
         ("latitude beyond the pole", &["--latitude", "91"]),
-        ("height above all mountains", &["--latitude", "45", "--height", "9001"]),
+        ("height above all mountains", &["--latitude", "45,9001"]),
         ("update by latitude", &["--method", "update", "--with", &cal, "--latitude", "45"]),
     ] {
         texts.fails(case, &run(more), 2, "usage");

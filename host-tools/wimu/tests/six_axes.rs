@@ -399,7 +399,7 @@ fn where_the_gyroscope_stops_the_replay_pauses_until_the_next_epoch() {
 
     let folder = folder();
     let table = folder.path().join("raw.csv").display().to_string();
-    wimu(&["export", &file(folder.path(), true), "-o", &table]).succeeds();
+    wimu(&["convert", &file(folder.path(), true), "-o", &table]).succeeds();
     let (header, rows) = table_of(&table);
     let rate = column(&header, "Gyroscope X (LSB)");
     let empty = rows.iter().filter(|row| row[rate].is_empty());
@@ -451,7 +451,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let table = |stream: &str, more: &[&str]| {
         let path = folder.path().join(format!("{stream}{}.csv", more.len()));
         let path = path.to_str().unwrap().to_owned();
-        let arguments = ["export", &session, "--stream", stream, "-o", &path];
+        let arguments = ["convert", &session, "--stream", stream, "-o", &path];
         let report = wimu(&[&arguments[..], more].concat()).succeeds();
         assert_eq!(report["sensors"], serde_json::json!([0, 1]));
         (table_of(&path), path)
@@ -490,7 +490,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         (0..STEPS / SECOND_EVERY).map(|number| second_counts(number).0.map(f64::from)).collect();
     assert_eq!(values, expected);
     let out = folder.path().join("none.csv").display().to_string();
-    let none = wimu(&["export", &session, "--sensor", "3", "-o", &out]);
+    let none = wimu(&["convert", &session, "--sensor", "3", "-o", &out]);
     let none = none.fails(2, "no_rows");
     assert!(none["remedy"].as_str().unwrap().contains("[0, 1]"), "{none}");
 
@@ -522,7 +522,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         "bias_mps2": ([0.0; 3]), "scale": ([1.0; 3]), "bias_sd_mps2": ([0.1; 3]), "scale_sd": ([0.1; 3]),
     });
     fs::write(&model, text.to_string()).unwrap();
-    let both = ["export", &session, "--sensor", "1", "--link-model", &model];
+    let both = ["convert", &session, "--sensor", "1", "--with", &model];
     wimu(&[&both[..], &["-o", &out]].concat()).fails(2, "usage");
 
     for input in [&raw_path, &corrected_path, &session] {
@@ -559,7 +559,7 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     let folder = folder();
     let session = file(folder.path(), false);
     let out = folder.path().join("decoded.mcap").display().to_string();
-    wimu(&["export", &session, "--format", "mcap", "-o", &out]).succeeds();
+    wimu(&["convert", &session, "-o", &out]).succeeds();
     let (boot, _) = heard(&run(false).0);
     let data = imu(&out, "/cable/imu/data");
     assert_eq!(data.len(), boot.corrected().len());
@@ -615,7 +615,7 @@ fn a_calibration_exported_for_a_device_is_the_set_that_the_device_compiles() {
     let [calibration, out] =
         ["CAL.json", "sensor.wimu"].map(|name| folder.path().join(name).display().to_string());
     CalibrationFile::new(&parameters(), &[], "").write(Path::new(&calibration)).unwrap();
-    let report = wimu(&["export", &calibration, "--format", "device", "-o", &out]).succeeds();
+    let report = wimu(&["convert", &calibration, "--to", "device", "-o", &out]).succeeds();
     let bytes = fs::read(&out).unwrap();
     assert_eq!(report["bytes"], bytes.len());
     assert_eq!(CompiledSet::from_bytes(&bytes).unwrap(), compiled(&parameters()));

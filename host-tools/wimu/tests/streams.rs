@@ -1,4 +1,4 @@
-//! `-` as standard input and output, and `wimu apply`.
+//! `-` as standard input and output, and `wimu convert --with`.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -64,8 +64,8 @@ fn a_calibration_goes_through_pipes() {
     assert_eq!(model(&file), model(&expected));
     for format in ["c", "rust", "numpy", "matlab", "kalibr", "ros", "px4", "ardupilot"] {
         let named = path(format);
-        wimu(&["export", &cal, "--format", format, "-o", &named]).succeeds();
-        let text = piped(&["export", "-", "--format", format, "-o", "-"], &piped_cal.stdout);
+        wimu(&["convert", &cal, "--to", format, "-o", &named]).succeeds();
+        let text = piped(&["convert", "-", "--to", format, "-o", "-"], &piped_cal.stdout);
         assert!(text.status.success(), "{text:?}");
         assert_eq!(text.stdout, fs::read(&named).unwrap(), "{format}");
     }
@@ -93,9 +93,10 @@ fn a_path_goes_through_pipes_and_into_ros_topics() {
 
 #[test]
 fn one_stream_serves_one_purpose() {
-    for arguments in
-        [&["apply", "-", "-", "-o", "out.csv"][..], &["navigate", "rest.csv", "-o", "-", "--json"]]
-    {
+    for arguments in [
+        &["convert", "-", "--with", "-", "-o", "out.csv"][..],
+        &["navigate", "rest.csv", "-o", "-", "--json"],
+    ] {
         let ran = piped(arguments, b"");
         assert_eq!(ran.status.code(), Some(2), "{ran:?}");
     }
@@ -110,9 +111,9 @@ fn a_table_is_corrected_and_refused_where_units_do_not_fit() {
     wimu(&["calibrate", &path("poses.csv"), "--poses", "-o", &cal]).succeeds();
     fs::write(&csv, rest()).unwrap();
     let out = path("out.csv");
-    let applied = wimu(&["apply", &cal, &csv, "-o", &out]).succeeds();
+    let applied = wimu(&["convert", &csv, "--with", &cal, "-o", &out]).succeeds();
     assert_eq!(applied["rows"], 500, "{applied}");
-    let through = piped(&["apply", &cal, "-", "-o", "-"], rest().as_bytes());
+    let through = piped(&["convert", "-", "--with", &cal, "-o", "-"], rest().as_bytes());
     assert_eq!(through.stdout, fs::read(&out).unwrap());
     let text = fs::read_to_string(&out).unwrap();
     let x = text.lines().skip(1).map(|line| line.split(',').nth(1).unwrap());
@@ -123,5 +124,5 @@ fn a_table_is_corrected_and_refused_where_units_do_not_fit() {
     fs::write(path("poses.csv"), poses().replace("m/s²", "LSB")).unwrap();
     let of = ["calibrate", &path("poses.csv"), "--poses", "-o", &counts];
     wimu(&of).succeeds();
-    wimu(&["apply", &counts, &csv, "-o", &out]).fails(2, "unknown_format");
+    wimu(&["convert", &csv, "--with", &counts, "-o", &out]).fails(2, "unknown_format");
 }

@@ -8,7 +8,7 @@ use core::hint::black_box;
 use bare_loop::run;
 use wimu_model::{Corrector, CorrectorParts, Counts, PeriodNs};
 
-/// As `wimu export CAL.json --format rust` writes it.
+/// As `wimu convert CAL.json --to rust` writes it.
 const CORRECTOR: Corrector = Corrector::from_parts(CorrectorParts {
     shift: 9,
     coefficients: [

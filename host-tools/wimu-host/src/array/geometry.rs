@@ -119,7 +119,7 @@ impl ArrayGeometry {
                     files.len(),
                     self.sensors.len()
                 ),
-                "give --calibration once for each sensor, in the order of the geometry",
+                "give --with once for each sensor, in the order of the geometry",
             ));
         }
         for (sensor, file) in self.sensors.iter_mut().zip(files) {

@@ -17,7 +17,7 @@ pub fn datasheet(name: &str) -> Result<&'static Datasheet> {
         Code::Usage.error(
             format!("no datasheet is known for the sensor {name:?}"),
             format!(
-                "known sensors: {}; for others leave out --sensor-model",
+                "known sensors: {}; for others leave out --chip",
                 Datasheet::KNOWN.map(|known| known.sensor).join(", ")
             ),
         )

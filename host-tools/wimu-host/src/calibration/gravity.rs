@@ -20,7 +20,7 @@ pub(super) fn gravity(options: &CalibrateOptions) -> Result<(Gravity, Source)> {
         }
         (Some(mps2), None) => (Gravity::new(mps2, 0.0), Source::Given, "--gravity"),
         (None, Some([latitude, height])) => {
-            (Gravity::at(latitude, height), Source::Latitude, "--latitude and --height")
+            (Gravity::at(latitude, height), Source::Latitude, "--latitude")
         }
         (None, None) => return Ok((Gravity::UNKNOWN_PLACE, Source::Default)),
     };
@@ -57,6 +57,6 @@ pub(super) fn finding(
             percent.min(100.0)
         );
         let finding = Code::GravityAssumed.note(text);
-        finding.remedy("give --latitude and --height of the place, or --gravity")
+        finding.remedy("give --latitude DEG,HEIGHT of the place, or --gravity")
     })
 }

@@ -18,7 +18,7 @@ use crate::problem::Outcome;
 use crate::recording::{OutputUnit, RateSource, Samples};
 use crate::{Code, Problem, Result};
 
-/// The report of `wimu calibrate --sensor magnetometer`, and a file that `wimu device params push` reads.
+/// The report of `wimu calibrate --method magnetometer`, and a file that `wimu device params push` reads.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct MagnetometerReport {
     /// Status and findings.

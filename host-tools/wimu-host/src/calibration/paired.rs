@@ -79,14 +79,14 @@ impl Paired {
             _ => {
                 return usage(
                     format!("it has {} accelerometers", sensors.len()),
-                    format!("choose the one to calibrate with --accelerometer: {list}"),
+                    format!("choose the one to calibrate with --sensor: {list}"),
                 );
             }
         };
         if output == reference {
             return usage(
                 format!("accelerometer {output} cannot be its own reference"),
-                format!("choose two of {list} with --accelerometer and --reference"),
+                format!("choose two of {list} with --sensor and --reference"),
             );
         }
         let samples =

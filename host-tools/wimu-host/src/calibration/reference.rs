@@ -117,8 +117,9 @@ pub fn compare_with_reference(
 ) -> Result<ReferenceReport> {
     let given = |ratio: f64| {
         NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
-            Code::Usage.error(format!("a noise ratio of {ratio} is not possible"),
-                    "give --noise-ratio, the noise of the output over that of the reference: 2 if it is twice as noisy",
+            Code::Usage.error(
+                format!("a noise ratio of {ratio} is not possible"),
+                "hold both still for ten seconds in the recording: that gives the noise of both",
             )
         })
     };
@@ -171,8 +172,7 @@ pub fn compare_with_reference(
         Ok(model) => model,
         Err(error) => {
             report.outcome.refuse(format!(
-                "the result is not possible for an accelerometer: {error}; check the units of both streams, and \
-                 --reference-sensitivity"
+                "the result is not possible for an accelerometer: {error}; check the units of both streams"
             ));
             return Ok(report);
         }
@@ -351,7 +351,7 @@ impl fmt::Display for ReferenceReport {
             Some(NoiseSource::Rests) => "noise ratio from rests",
             Some(NoiseSource::Neighbours) | None => "noise estimated from neighbouring samples",
             Some(NoiseSource::Bounds) => {
-                "noise ratio unknown, ± covers all ratios: hold both still for a while, or give --noise-ratio"
+                "noise ratio unknown, ± covers all ratios: hold both still for a while"
             }
         };
         let mut noises: Vec<(&str, Vec<&str>)> = Vec::new();

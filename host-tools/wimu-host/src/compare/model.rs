@@ -77,7 +77,7 @@ impl LinkModel {
         }
         Err(Code::DataRefused.error(
             format!("the link model is of the {} link", self.link),
-            format!("choose it with --link {}", self.link),
+            format!("choose it with --topic {}", self.link),
         ))
     }
 

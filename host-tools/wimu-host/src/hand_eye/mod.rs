@@ -120,7 +120,7 @@ fn solve(
     )?;
     if limit.is_some_and(|limit| offset.offset_s.abs() > limit - 0.1) {
         return Err(format!(
-            "the clock offset is at the limit of its search, {:.2} s: widen --offset-limit",
+            "the clock offset is at the limit of its search, {:.2} s",
             offset.offset_s
         ));
     }

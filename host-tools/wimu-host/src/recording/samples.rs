@@ -251,7 +251,7 @@ impl Recording {
                 Code::Usage,
                 format!("it has {} accelerometers", all.len()),
                 format!(
-                    "choose one with --accelerometer: {numbers}; the accelerometers of an array are calibrated together with \
+                    "choose one with --sensor: {numbers}; the accelerometers of an array are calibrated together with \
                      --geometry"
                 ),
             ),

@@ -8,7 +8,7 @@ use wimu_calib::Face;
 use wimu_model::Sensitivity;
 
 use super::reading::Reading;
-use super::values::{from_to, positive, seconds, sensitivity, side};
+use super::values::{Place, from_to, place, positive, seconds, sensitivity, side};
 
 #[derive(Args)]
 #[command(after_help = "\
@@ -17,27 +17,27 @@ Examples:
   wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
   wimu calibrate session.csv --model auto+drift --report report.html
   wimu calibrate sides.csv --method six-position --sides x,-x,y,-y,z,-z
-  wimu calibrate cold.csv room.csv warm.csv --latitude 47.4 --height 400 -o CAL.json
+  wimu calibrate cold.csv room.csv warm.csv --latitude 47.4,400 -o CAL.json
   wimu calibrate rotation.csv --method four-angle --placement-sd 0.5
   wimu calibrate means.csv --poses --where \"Run=2,IMU=0\" --gravity 9.818
   wimu calibrate later.csv --method update --with CAL.json -o NOW.json
   wimu calibrate session.mcap --method reference
-  wimu calibrate two.csv --method reference --reference 0 --accelerometer 1
-  wimu calibrate session.mcap --sensor magnetometer --with CAL.json -o BOTH.json
-  wimu calibrate board.csv --geometry positions.csv -o ARRAY.json")]
+  wimu calibrate two.csv --method reference --reference 0 --sensor 1
+  wimu calibrate session.mcap --method magnetometer --with CAL.json -o BOTH.json
+  wimu calibrate board.csv --setup positions.csv -o ARRAY.json")]
 pub struct Calibrate {
     /// A LINK, or a recording of any format
     pub input: String,
     /// Further sessions of the same sensor: their parameters are combined, with the change between sessions. With
-    /// --geometry: recordings of further boards on the same body, in the order of the geometry
+    /// --setup: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "FILE")]
     pub more: Vec<PathBuf>,
 
     #[command(flatten)]
     pub reading: Reading,
-    /// Number (from 0) of the accelerometer to calibrate in a file that has several
-    #[arg(long, value_name = "N", help_heading = "Input")]
-    pub accelerometer: Option<u8>,
+    /// Index of the accelerometer to calibrate in a file that has several
+    #[arg(long, value_name = "INDEX", help_heading = "Input")]
+    pub sensor: Option<u8>,
     /// Each row of the table is the mean of one static pose
     #[arg(long, help_heading = "Input")]
     pub poses: bool,
@@ -47,20 +47,14 @@ pub struct Calibrate {
     /// Full-scale range of a CSV file, ± g [default: 32768 / sensitivity, rounded down to a power of two]
     #[arg(long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
     pub range: Option<u8>,
-    /// For method reference: number of the accelerometer of a CSV file that is the reference [default: the first]
-    #[arg(long, value_name = "N", help_heading = "Input")]
+    /// For method reference: index of the accelerometer of a CSV file that is the reference [default: the first]
+    #[arg(long, value_name = "INDEX", help_heading = "Input")]
     pub reference: Option<u8>,
-    /// For method reference: nominal sensitivity of the reference, LSB/g [default: --sensitivity]
-    #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity, help_heading = "Input")]
-    pub reference_sensitivity: Option<Sensitivity>,
     /// Calibration to update, or calibration of the accelerometer beside the magnetometer [default: that of the
     /// recording or the device]
     #[arg(long, value_name = "CAL.json", help_heading = "Input")]
     pub with: Option<PathBuf>,
 
-    /// Sensor to calibrate
-    #[arg(long, value_enum, default_value_t = Calibrated::Accelerometer, help_heading = "Model")]
-    pub sensor: Calibrated,
     /// How to calibrate
     #[arg(long, value_enum, default_value_t = Method::MultiPosition, help_heading = "Model")]
     pub method: Method,
@@ -72,19 +66,14 @@ pub struct Calibrate {
     /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
     #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
     pub gravity: Option<f64>,
-    /// Latitude of the place, degrees, negative in the south: gravity by the WGS 84 formula, ± 0.0005 m/s² (1 σ)
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), conflicts_with = "gravity", help_heading = "Model")]
-    pub latitude: Option<f64>,
-    /// Height of the place above sea level, m
-    #[arg(long, value_name = "M", allow_negative_numbers = true, value_parser = from_to(-500.0, 9000.0), default_value_t = 0.0, requires = "latitude", help_heading = "Model")]
-    pub height: f64,
+    /// Latitude of the place, degrees, negative in the south, and its height, m: gravity by the WGS 84 formula,
+    /// ± 0.0005 m/s² (1 σ)
+    #[arg(long, value_name = "DEG[,M]", allow_hyphen_values = true, value_parser = place, conflicts_with = "gravity", help_heading = "Model")]
+    pub latitude: Option<Place>,
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
     #[arg(long, value_name = "NAME", help_heading = "Model")]
-    pub sensor_model: Option<String>,
-    /// For method reference: standard deviation of the noise, divided by that of the reference [default: estimated]
-    #[arg(long, value_name = "RATIO", help_heading = "Model")]
-    pub noise_ratio: Option<f64>,
-    /// For the magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
+    pub chip: Option<String>,
+    /// For method magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
     /// mirrored axis [default: the field points down]
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), help_heading = "Model")]
     pub dip: Option<f64>,
@@ -101,20 +90,14 @@ pub struct Calibrate {
     /// Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
     #[arg(
         long,
-        value_name = "FILE|PRESET",
+        value_name = "SETUP",
         help_heading = "Arrays",
         conflicts_with_all = [
-            "method", "sensor", "model", "with", "sensor_model", "range", "poses", "filter", "accelerometer", "reference",
-            "reference_sensitivity", "noise_ratio", "placement_sd", "sides", "report", "count", "dip", "push", "resume",
+            "method", "sensor", "model", "with", "chip", "range", "poses", "filter", "reference", "placement_sd", "sides",
+            "report", "count", "dip", "push", "resume",
         ]
     )]
-    pub geometry: Option<PathBuf>,
-    /// Standard deviation of the positions in the geometry, mm [default: that of the geometry file, or 0.5]
-    #[arg(long, value_name = "MM", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
-    pub place_sd: Option<f64>,
-    /// Standard deviation of the sensors' delays, µs [default: that of the geometry file, or 300]
-    #[arg(long, value_name = "US", value_parser = positive, requires = "geometry", help_heading = "Arrays")]
-    pub delay_sd: Option<f64>,
+    pub setup: Option<PathBuf>,
 
     /// Write the calibration to this file
     #[arg(short, long, value_name = "CAL.json", help_heading = "Output")]
@@ -141,7 +124,7 @@ Examples:
       rests level (body z up), then on its tail (body x up)
   wimu align rests.mcap --up z,x --rests 0,2
       ignores the second of three rests
-  wimu align move.mcap --forward --calibration CAL.json -o ALIGNED.json
+  wimu align move.mcap --forward --with CAL.json -o ALIGNED.json
       rests level, moves straight ahead, rests again
   wimu align tcp://127.0.0.1:7100 --up z,x --push
       listens until both rests were found
@@ -170,7 +153,7 @@ pub struct Align {
     pub forward: bool,
     /// Calibration of the accelerometer [default: that of the recording or the device]
     #[arg(long, value_name = "CAL.json")]
-    pub calibration: Option<PathBuf>,
+    pub with: Option<PathBuf>,
     /// Placement error of the body, degrees, 1 σ
     #[arg(long, value_name = "DEG", default_value_t = 1.0, value_parser = from_to(0.01, 20.0))]
     pub placement_sd: f64,
@@ -186,9 +169,6 @@ pub struct Align {
     /// Find the pose of a camera in the body instead: its poses, a CSV table or a TUM trajectory
     #[arg(long, value_name = "POSES", conflicts_with_all = ["up", "rests", "forward", "placement_sd", "output", "seconds", "push"])]
     pub camera: Option<PathBuf>,
-    /// Largest offset of the two clocks with --camera, s [default: any]
-    #[arg(long, value_name = "SECONDS", value_parser = positive, requires = "camera")]
-    pub offset_limit: Option<f64>,
     /// Write a report with the residuals to this file
     #[arg(long, value_name = "FILE.html", requires = "camera")]
     pub report: Option<PathBuf>,
@@ -206,29 +186,17 @@ pub struct Allan {
     /// Write a report with the Allan deviation to this file
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Noise density of the datasheet, µg/√Hz, to compare in the report
-    #[arg(long, value_name = "UG_RTHZ", value_parser = positive, requires = "report")]
-    pub datasheet: Option<f64>,
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file such that gravity is 1 g]
     #[arg(long, value_name = "LSB_PER_G", value_parser = sensitivity)]
     pub sensitivity: Option<Sensitivity>,
     #[command(flatten)]
     pub reading: Reading,
-    /// Number (from 0) of the accelerometer in a file that has several
-    #[arg(long, value_name = "N")]
-    pub accelerometer: Option<u8>,
+    /// Index of the accelerometer in a file that has several
+    #[arg(long, value_name = "INDEX")]
+    pub sensor: Option<u8>,
     /// Time to listen, s (LINK only) [default: until Ctrl-C]
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Calibrated {
-    /// Bias, scale factors and misalignments of an accelerometer
-    Accelerometer,
-    /// Hard and soft iron of a magnetometer beside a calibrated accelerometer: rests in twelve or more orientations,
-    /// also rotated about the vertical
-    Magnetometer,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -245,4 +213,7 @@ pub enum Method {
     Reference,
     /// A stored calibration (--with), checked and updated with later rests
     Update,
+    /// Hard and soft iron of a magnetometer beside a calibrated accelerometer: rests in twelve or more orientations,
+    /// also rotated about the vertical
+    Magnetometer,
 }

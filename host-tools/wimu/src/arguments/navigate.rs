@@ -30,7 +30,7 @@ Examples:
   wimu navigate drive.csv --profile vehicle --fixes gnss.csv --odometry wheels.csv
   wimu navigate walk.csv --profile foot --loop
   wimu navigate /dev/ttyACM0 --profile foot --fixes tcp://127.0.0.1:9000
-  wimu navigate raw.csv --calibration CAL.json
+  wimu navigate raw.csv --with CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
   wimu navigate cube.csv --geometry cube:100mm
@@ -42,7 +42,7 @@ Examples:
   wimu navigate fine.csv coarse.csv --full-scales 2,16
   wimu navigate thigh.csv shank.csv --relative -o angle.csv")]
 pub struct Navigate {
-    /// A LINK, or a recording of any format; of other programs: corrected samples, or with --calibration the sensor's
+    /// A LINK, or a recording of any format; of other programs: corrected samples, or with --with the sensor's
     /// output. With --anchors alone: ranges
     pub input: PathBuf,
     /// Stop after this time, s
@@ -62,7 +62,7 @@ pub struct Navigate {
     /// m/s² or g. It replaces the calibration in a recording. For an array, give one for each sensor, in the order of
     /// --geometry
     #[arg(long, value_name = "CAL.json", help_heading = "Input")]
-    pub calibration: Vec<PathBuf>,
+    pub with: Vec<PathBuf>,
     /// Sensitivity of counts, LSB/g [default: that of the calibration or of a column `Sensitivity (LSB/g)`; for an array
     /// 2048]
     #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]

@@ -1,25 +1,21 @@
 //! How recordings are read: options that several commands share.
 
 use clap::Args;
-
 use wimu_host::csv::Filter;
 use wimu_host::formats::ReadOptions;
-
-use super::Role;
+use wimu_link::LinkRole;
 
 #[derive(Args)]
-#[command(next_help_heading = "Input")]
+#[command(next_help_heading = "Reading FILE")]
 pub struct Reading {
-    /// Link of a recording of wimu [default: the cable if it was recorded]
-    #[arg(long, value_enum)]
-    pub link: Option<Role>,
     /// Rows of a table to use: those whose columns have these values, such as "Run=2,IMU=0"
     #[arg(long = "where", value_name = "COLUMN=VALUE,…")]
     pub filter: Option<Filter>,
     /// Format of the file, by its name in docs/FORMATS.md [default: detected by its content]
     #[arg(long, value_name = "NAME")]
-    pub input_format: Option<String>,
-    /// Topic, message or log to read, where the file has several
+    pub format: Option<String>,
+    /// Topic, message or log to read, where the file has several; of a recording of wimu the link: cable or wireless
+    /// [default: the cable if it was recorded]
     #[arg(long, value_name = "NAME")]
     pub topic: Option<String>,
     /// Columns of a table, by header or by number from 1, with units: "t=timestamp:ns,x=ax:g,y=ay:g,z=az:g"
@@ -40,15 +36,24 @@ impl Reading {
     /// The same for the library; `poses` if the rows of a table are means over static poses.
     pub fn options(&self, poses: bool) -> ReadOptions {
         let mut options = ReadOptions::default();
-        options.format = self.input_format.clone();
+        options.format = self.format.clone();
         options.topic = self.topic.clone();
         options.columns = self.columns.clone();
         options.units = self.units.clone();
         options.rate_hz = self.rate;
         options.zero_count = self.zero_count;
         options.filter = self.filter.clone();
-        options.role = self.link.map(Into::into);
+        options.role = self.role();
         options.poses = poses;
         options
+    }
+
+    /// The link of a recording of wimu that the topic names.
+    pub fn role(&self) -> Option<LinkRole> {
+        match self.topic.as_deref() {
+            Some("cable") => Some(LinkRole::Cable),
+            Some("wireless") => Some(LinkRole::Wireless),
+            _ => None,
+        }
     }
 }

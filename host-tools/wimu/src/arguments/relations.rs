@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory};
 use wimu_host::{Input, Result};
 
-use super::{Arguments, Calibrated, Method};
+use super::{Arguments, Method};
 use crate::output::usage;
 
 /// Which options of a command go with which value of another option. Options without a row go with all of them.
@@ -18,19 +18,15 @@ struct Table {
     rows: &'static [(&'static str, &'static str)],
 }
 
-/// `--sensor magnetometer` stands beside the methods, of which it reads none.
-const MAGNETOMETER: &str = "magnetometer";
-
 #[rustfmt::skip]
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 2] = [
     Table {
         command: "calibrate",
         decided_by: "method",
-        values: &["multi-position", "six-position", "four-angle", "three-angle", "reference", "update", MAGNETOMETER],
+        values: &["multi-position", "six-position", "four-angle", "three-angle", "reference", "update", "magnetometer"],
         rows: &[
-            ("method",                "× × × × × × ·"),
             ("model",                 "× × × × · · ·"),
-            ("sensor-model",          "× × × × · · ·"),
+            ("chip",                  "× × × × · · ·"),
             ("gravity",               "× × × × · × ·"),
             ("latitude",              "× × × × · · ·"),
             ("sensitivity",           "× × × × × · ·"),
@@ -38,24 +34,14 @@ const TABLES: [Table; 3] = [
             ("placement-sd",          "· × × × · · ·"),
             ("sides",                 "· × · · · · ·"),
             ("reference",             "· · · · × · ·"),
-            ("reference-sensitivity", "· · · · × · ·"),
-            ("noise-ratio",           "· · · · × · ·"),
             ("with",                  "· · · · · × ×"),
             ("dip",                   "· · · · · · ×"),
             ("poses",                 "× × × × · × ×"),
-            ("link",                  "× × × × · × ×"),
+            ("topic",                 "× × × × · × ×"),
             ("report",                "× × × × × × ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
             ("resume",                "× × × × · · ×"),
-        ],
-    },
-    Table {
-        command: "export",
-        decided_by: "format",
-        values: &["kalibr"],
-        rows: &[
-            ("noise",                 "×"),
         ],
     },
     // A replayed CSV file has no angular rates.
@@ -75,19 +61,20 @@ const TABLE: &str = "a table or a recording of another program";
 /// What is complete.
 const FILE: &str = "a file";
 
+/// The topics of a recording of wimu.
+const LINKS: [&str; 2] = ["cable", "wireless"];
+
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 22] = [
+const INPUTS: [(&str, &str); 20] = [
     ("where", TABLE),
+    ("format", TABLE),
     ("poses", TABLE),
-    ("accelerometer", TABLE),
+    ("sensor", TABLE),
     ("range", TABLE),
-    ("reference-sensitivity", TABLE),
-    ("input-format", TABLE),
     ("topic", TABLE),
     ("columns", TABLE),
     ("units", TABLE),
     ("zero-count", TABLE),
-    ("link", "a recording of wimu"),
     ("count", "a LINK"),
     ("resume", "a LINK"),
     ("for", "a LINK"),
@@ -128,6 +115,7 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
     }
     if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
         && !given.contains(&"geometry")
+        && !given.contains(&"setup")
     {
         by_input(matches, &given)?;
         if name == "calibrate" {
@@ -145,9 +133,7 @@ fn several(matches: &ArgMatches) -> Result<()> {
     let one = "give one file, or calibrate with --method multi-position or six-position";
     let methods = [Method::MultiPosition, Method::SixPosition];
     let method = matches.get_one::<Method>("method");
-    if matches.get_one("sensor") == Some(&Calibrated::Magnetometer)
-        || !method.is_some_and(|method| methods.contains(method))
-    {
+    if !method.is_some_and(|method| methods.contains(method)) {
         return Err(usage("several sessions do not go with this method", one));
     }
     let input = matches.get_one::<String>("input").cloned();
@@ -163,28 +149,16 @@ fn several(matches: &ArgMatches) -> Result<()> {
 
 fn by_value(table: &Table, matches: &ArgMatches, given: &[&str]) -> Result<()> {
     let raw = matches.get_raw(table.decided_by);
-    let value = match raw.and_then(|mut raw| raw.next()?.to_str()) {
-        _ if table.values.contains(&MAGNETOMETER)
-            && matches.get_one("sensor") == Some(&Calibrated::Magnetometer) =>
-        {
-            MAGNETOMETER
-        }
-        Some(value) => value,
-        None => return Ok(()),
+    let Some(value) = raw.and_then(|mut raw| raw.next()?.to_str()) else {
+        return Ok(());
     };
-    let name = |value: &str| match value {
-        MAGNETOMETER => format!("--sensor {value}"),
-        _ => format!("--{} {value}", table.decided_by),
-    };
+    let name = |value: &str| format!("--{} {value}", table.decided_by);
     for (option, marks) in table.rows {
         let marks = table.values.iter().zip(marks.split(' '));
         let goes_with: Vec<String> =
             marks.filter(|(_, mark)| *mark == "×").map(|(value, _)| name(value)).collect();
         if given.contains(option) && !goes_with.contains(&name(value)) {
-            let remedy = match value {
-                MAGNETOMETER => "leave one of the two out".to_owned(),
-                _ => format!("leave it out, or use {}", goes_with.join(", ")),
-            };
+            let remedy = format!("leave it out, or use {}", goes_with.join(", "));
             return Err(usage(format!("--{option} does not go with {}", name(value)), remedy));
         }
     }
@@ -208,7 +182,17 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
         let message = format!("--{option} goes with --anchors only if INPUT is a LINK");
         return Err(usage(message, "leave one of the two out").at(input));
     }
+    let topic = matches.get_one::<String>("topic").map(String::as_str);
+    if let ("a recording of wimu", Some(topic)) =
+        (kind, topic.filter(|topic| !LINKS.contains(topic)))
+    {
+        let message = format!("a recording of wimu has no topic {topic:?}");
+        return Err(usage(message, "give the link: --topic cable or wireless").at(input));
+    }
     for (option, needed) in INPUTS {
+        if option == "topic" && kind == "a recording of wimu" {
+            continue;
+        }
         let fits = needed == kind || (needed == FILE && kind != "a LINK");
         if !fits && given.contains(&option) {
             let remedy = match option {

@@ -62,6 +62,15 @@ pub fn side(text: &str) -> Result<Face, String> {
         .ok_or_else(|| "the sides are x, -x, y, -y, z and -z, separated by commas".to_owned())
 }
 
+/// A place on the Earth: latitude, degrees, and height above sea level, m.
+pub type Place = [f64; 2];
+
+/// `LATITUDE` or `LATITUDE,HEIGHT`.
+pub fn place(text: &str) -> Result<Place, String> {
+    let (latitude, height) = text.split_once(',').unwrap_or((text, "0"));
+    Ok([from_to(-90.0, 90.0)(latitude)?, from_to(-500.0, 9000.0)(height)?])
+}
+
 /// Times from–to, s.
 pub type TimeSpans = Vec<std::ops::RangeInclusive<f64>>;
 

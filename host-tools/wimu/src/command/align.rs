@@ -46,13 +46,13 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
     let (data, set, mut client) = read_calibrated(
         &arguments.input,
         &arguments.reading.options(false),
-        arguments.calibration.as_deref(),
+        arguments.with.as_deref(),
         arguments.push,
         |set| {
             set.ok_or_else(|| {
                 usage(
                     "there is no calibration of the accelerometer",
-                    "calibrate it first, and add --calibration CAL.json",
+                    "calibrate it first, and add --with CAL.json",
                 )
             })
         },
@@ -61,7 +61,7 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
     )?;
     let samples = data.samples(Selection::default())?;
     let report = alignment::alignment(&samples, &set, &options);
-    let given = arguments.calibration.as_deref();
+    let given = arguments.with.as_deref();
     let file = |after| {
         let file = CalibrationFile::after(given, &set, after, &report.source);
         file.of_device(samples.info().device_id)

@@ -15,7 +15,7 @@ pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
     let report = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => {
             let options = arguments.reading.options(false);
-            allan::noise(&path, &options, arguments.accelerometer, arguments.sensitivity)?
+            allan::noise(&path, &options, arguments.sensor, arguments.sensitivity)?
         }
         Input::Link(_) => listen(arguments, output)?,
     };
@@ -24,7 +24,7 @@ pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
     if report.measured().next().is_some()
         && let Some(path) = &arguments.report
     {
-        report.page(arguments.datasheet).write(path)?;
+        report.page(None).write(path)?;
     }
     output.object(&report);
     Ok(report.outcome.exit_code())

@@ -7,8 +7,8 @@ use wimu_host::Result;
 use wimu_host::array::{
     ArrayGeometry, ArrayRecording, Board, BoardOptions, RefineOptions, Refinement,
 };
+use wimu_link::LinkRole;
 
-use crate::arguments::Role;
 use crate::output::Output;
 
 /// Default sensitivity of counts, LSB/g (16 bits at ± 16 g).
@@ -34,7 +34,7 @@ pub fn read(
     input: &Path,
     boards: &[PathBuf],
     sensitivity_lsb_per_g: Option<f64>,
-    link: Option<Role>,
+    link: Option<LinkRole>,
     raw: bool,
 ) -> Result<ArrayRecording> {
     let sensitivity_lsb_per_g = sensitivity_lsb_per_g.unwrap_or(SENSITIVITY_LSB_PER_G);
@@ -42,7 +42,7 @@ pub fn read(
     if boards.is_empty() && is_table {
         return ArrayRecording::from_csv(input, sensitivity_lsb_per_g);
     }
-    let options = BoardOptions { sensitivity_lsb_per_g, link: link.map(Into::into), raw };
+    let options = BoardOptions { sensitivity_lsb_per_g, link, raw };
     let paths = std::iter::once(input).chain(boards.iter().map(PathBuf::as_path));
     let boards = paths.map(|path| Board::read(path, &options));
     ArrayRecording::from_boards(&boards.collect::<Result<Vec<_>>>()?)

@@ -18,7 +18,7 @@ use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::{ParameterSet, Sensitivity};
 
-use crate::arguments::{Calibrate, Calibrated, Method};
+use crate::arguments::{Calibrate, Method};
 use crate::command::{Connection, connect_for, not_over_input};
 use crate::output::{Output, usage};
 
@@ -28,11 +28,11 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     for file in &arguments.more {
         not_over_input(file, arguments.output.as_deref())?;
     }
-    match (&arguments.geometry, arguments.sensor, arguments.method) {
-        (Some(geometry), ..) => array::run(arguments, geometry, output).map(|()| 0),
-        (_, Calibrated::Magnetometer, _) => magnetometer::run(arguments, output),
-        (_, _, Method::Update) => update(arguments, output),
-        (_, _, Method::Reference) => against_reference(arguments, output),
+    match (&arguments.setup, arguments.method) {
+        (Some(geometry), _) => array::run(arguments, geometry, output).map(|()| 0),
+        (_, Method::Magnetometer) => magnetometer::run(arguments, output),
+        (_, Method::Update) => update(arguments, output),
+        (_, Method::Reference) => against_reference(arguments, output),
         _ if !arguments.more.is_empty() => several(arguments, output),
         _ => with_gravity(arguments, output),
     }
@@ -128,7 +128,7 @@ fn erases_gyroscope() -> Problem {
 
 /// How to read the input, and which of its samples.
 fn reading(arguments: &Calibrate) -> (ReadOptions, Selection) {
-    let selection = Selection { accelerometer: arguments.accelerometer, poses: arguments.poses };
+    let selection = Selection { accelerometer: arguments.sensor, poses: arguments.poses };
     (arguments.reading.options(arguments.poses), selection)
 }
 
@@ -168,9 +168,9 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let data = match Input::parse(&arguments.input)? {
         Input::File(path) => Paired::of_recording(
             &formats::load(&path, &reading(arguments).0)?,
-            [arguments.reference, arguments.accelerometer],
+            [arguments.reference, arguments.sensor],
             sensitivity,
-            arguments.reference_sensitivity,
+            None,
         )?
         .at_range(arguments.range),
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
@@ -181,7 +181,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             ));
         }
     };
-    let report = calibration::compare_with_reference(&data, arguments.noise_ratio, utc_s())?;
+    let report = calibration::compare_with_reference(&data, None, utc_s())?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, &report.outcome, path, file, output, || {
         write_page(arguments, || report.page(&data))
@@ -235,18 +235,18 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         Method::SixPosition => MethodChoice::SixPosition,
         Method::FourAngle => MethodChoice::FourAngle,
         Method::ThreeAngle => MethodChoice::ThreeAngle,
-        Method::MultiPosition | Method::Reference | Method::Update => MethodChoice::MultiPosition,
+        _ => MethodChoice::MultiPosition,
     };
     let text = arguments.model.as_deref().unwrap_or_default();
     let (model, terms) = calibration::parse_model(text, method)?;
-    let datasheet = arguments.sensor_model.as_deref();
+    let datasheet = arguments.chip.as_deref();
     Ok(CalibrateOptions {
         method,
         model,
         terms,
         sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
-        place: arguments.latitude.map(|latitude| [latitude, arguments.height]),
+        place: arguments.latitude,
         sensitivity_lsb_per_g: arguments.sensitivity,
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,

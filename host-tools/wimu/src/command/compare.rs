@@ -45,17 +45,13 @@ fn recording(path: &Path, arguments: &Compare, output: &Output) -> Result<()> {
         })?;
         model.write(file)?;
         output.print(format!(
-            "wrote {}: the wireless link's error model, for `wimu export --link wireless --link-model`",
+            "wrote {}: the wireless link's error model, for `wimu convert --topic wireless --with`",
             file.display()
         ));
     }
     if let Some(file) = &arguments.report {
         found.page(&text).write(file)?;
         output.print(format!("wrote {}", file.display()));
-    }
-    if let Some(folder) = &arguments.pictures {
-        let files = found.write_pictures(folder)?;
-        output.print(format!("wrote {} pictures to {}", files.len(), folder.display()));
     }
     output.object(&found);
     Ok(())

@@ -87,7 +87,7 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
         arguments.report.display(),
         recording.display(),
         match outcome.attitude_deg {
-            Some(_) => "wimu export --stream navigation",
+            Some(_) => "wimu convert --stream navigation -o positions.csv",
             None => "wimu navigate",
         }
     ));

@@ -2,13 +2,12 @@
 
 pub mod align;
 pub mod allan;
-pub mod apply;
 mod array;
 pub mod calibrate;
 pub mod compare;
+pub mod convert;
 pub mod dashboard;
 pub mod demo;
-pub mod export;
 pub mod flash;
 pub mod fleet;
 pub mod gateway;

@@ -128,9 +128,9 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     if arguments.relative {
         return relative::run(arguments, output);
     }
-    if arguments.calibration.len() > 1 && arguments.geometry.is_none() {
+    if arguments.with.len() > 1 && arguments.geometry.is_none() {
         return Err(usage(
-            "--calibration was given more than once for a single sensor",
+            "--with was given more than once for a single sensor",
             "give one, or --geometry",
         ));
     }
@@ -147,8 +147,8 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
         return inertial::run(arguments, output);
     }
     let recording = Capture::load(&arguments.input)?;
-    let link = recording.link(arguments.reading.link.map(Into::into))?;
-    let calibration = arguments.calibration.first();
+    let link = recording.link(arguments.reading.role())?;
+    let calibration = arguments.with.first();
     let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
     let calibration = calibration.as_ref();
     let starts = link.boots.iter().map(|boot| start(boot, arguments, calibration));

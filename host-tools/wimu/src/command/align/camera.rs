@@ -18,8 +18,7 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
     for read in [camera, file] {
         not_over_input(read, arguments.report.as_deref())?;
     }
-    let options =
-        HandEyeOptions { offset_limit_s: arguments.offset_limit, ..HandEyeOptions::default() };
+    let options = HandEyeOptions::default();
     let streams = [PoseStream::read(camera)?, body(arguments, file)?];
     if streams[0].poses() == streams[1].poses() {
         let remedy = "name the poses of the camera with --camera, those of the body first";
@@ -40,7 +39,7 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
 fn body(arguments: &Align, file: &Path) -> Result<PoseStream> {
     match PoseStream::read(file) {
         Err(error) if error.code == Code::CsvMissingColumn || !is_text(file) => {
-            let calibration = arguments.calibration.as_ref();
+            let calibration = arguments.with.as_ref();
             let table = TableOptions {
                 calibration: calibration.map(|file| read_model(file)).transpose()?,
                 sensitivity_lsb_per_g: None,

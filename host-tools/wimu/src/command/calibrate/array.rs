@@ -1,4 +1,4 @@
-//! `wimu calibrate --geometry`: all accelerometers of an array at once.
+//! `wimu calibrate --setup`: all accelerometers of an array at once.
 
 use std::path::Path;
 
@@ -42,12 +42,12 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()
         not_over_input(read, arguments.output.as_deref())?;
     }
     let geometry = ArrayGeometry::read(geometry)?;
-    let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
+    let options = array::prior(None, None, &geometry);
     let recording =
-        array::read(input, &arguments.more, arguments.sensitivity, arguments.reading.link, true)?;
+        array::read(input, &arguments.more, arguments.sensitivity, arguments.reading.role(), true)?;
     let gravity = match (arguments.gravity, arguments.latitude) {
         (Some(mps2), _) => Gravity::new(mps2, 0.0),
-        (None, Some(latitude)) => Gravity::at(latitude, arguments.height),
+        (None, Some([latitude, height])) => Gravity::at(latitude, height),
         (None, None) => Ok(Gravity::UNKNOWN_PLACE),
     };
     let gravity = gravity.map_err(|e| usage(e.to_string(), "check --gravity"))?;
@@ -56,7 +56,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()
     if let Some(file) = &arguments.output {
         found.geometry.write(file)?;
         output.print(format!(
-            "wrote {}, for `wimu navigate … --geometry {}`",
+            "wrote {}, for `wimu navigate … --setup {}`",
             file.display(),
             file.display()
         ));

@@ -1,4 +1,4 @@
-//! `wimu calibrate --sensor magnetometer`.
+//! `wimu calibrate --method magnetometer`.
 
 use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer};
 use wimu_host::{Code, Result};

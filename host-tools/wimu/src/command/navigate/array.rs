@@ -20,15 +20,15 @@ pub fn path(
     output: &Output,
 ) -> Result<(InertialPath, Option<Refined>)> {
     for written in [&arguments.refine, &arguments.output, &arguments.report] {
-        for read in arguments.boards.iter().chain(&arguments.calibration) {
+        for read in arguments.boards.iter().chain(&arguments.with) {
             not_over_input(read, written.as_deref())?;
         }
         not_over_input(geometry, written.as_deref())?;
     }
     not_over_input(&arguments.input, arguments.refine.as_deref())?;
     let mut geometry = ArrayGeometry::read(geometry)?;
-    if !arguments.calibration.is_empty() {
-        geometry = geometry.with_models(&arguments.calibration)?;
+    if !arguments.with.is_empty() {
+        geometry = geometry.with_models(&arguments.with)?;
     }
     let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
     if !geometry.axes.is_empty() {
@@ -49,7 +49,7 @@ pub fn path(
         &arguments.input,
         &arguments.boards,
         arguments.sensitivity,
-        arguments.reading.link,
+        arguments.reading.role(),
         geometry.has_models(),
     )?;
     let mut recording = read.clone().arranged(&geometry)?;

@@ -140,7 +140,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
             found
         }
         None => {
-            let motion = calibrated(arguments, &arguments.input, arguments.calibration.first())?;
+            let motion = calibrated(arguments, &arguments.input, arguments.with.first())?;
             one_unit(arguments, &motion, source, output)?
         }
     };
@@ -161,7 +161,7 @@ pub fn unit(
         )),
         Input::Recording(_) => {
             let recording = Capture::load(file)?;
-            let link = recording.link(arguments.reading.link.map(Into::into))?;
+            let link = recording.link(arguments.reading.role())?;
             let longest = link.longest().ok_or_else(|| {
                 Code::NoRows
                     .error("the recording has no samples", "record again")

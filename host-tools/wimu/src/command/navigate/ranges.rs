@@ -52,7 +52,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
         recording.findings.push(Code::Navigation.note(text));
     }
     if arguments.aids.ranges.is_some() {
-        let calibration = arguments.calibration.first();
+        let calibration = arguments.with.first();
         let motion = inertial::unit(arguments, &arguments.input, calibration)?;
         recording.findings.extend(motion.findings.iter().cloned());
         recording.motion = Some(motion);

@@ -49,11 +49,11 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     for written in [&arguments.output, &arguments.report] {
         not_over_input(other, written.as_deref())?;
     }
-    let calibrations = &arguments.calibration;
+    let calibrations = &arguments.with;
     if calibrations.len() == 1 || calibrations.len() > 2 {
         return Err(usage(
             "--relative takes a calibration for each unit",
-            "give --calibration A.json --calibration B.json, or none",
+            "give --with A.json --with B.json, or none",
         ));
     }
     let a = inertial::unit(arguments, files[0], calibrations.first())?;

@@ -88,7 +88,7 @@ fn is_due(newest_s: f64, last_s: Option<f64>, every_s: f64) -> bool {
 
 /// Refuses a calibration for samples that a board corrects.
 pub fn corrected_there(arguments: &Navigate, link: &str) -> Result<()> {
-    if arguments.calibration.is_empty() && arguments.sensitivity.is_none() {
+    if arguments.with.is_empty() && arguments.sensitivity.is_none() {
         return Ok(());
     }
     let remedy =

@@ -260,7 +260,7 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
         let error = run(push).fails(2, "other_device");
         let message = error["text"].as_str().unwrap();
         assert!(message.contains("0000000051570001") && message.contains("0000000051570002"));
-        run(&[&push[..], &["--force"]].concat()).succeeds();
+        run(&[push, &["--force"]].concat()).succeeds();
     }
     calibration(&file, Some(0x5157_0001));
     run(&push_one).succeeds();
@@ -272,7 +272,7 @@ fn a_broker_that_exchanges_two_boards_gets_no_calibration_pushed() {
         calibration(&file, device_id);
         for push in [&push_fleet[..], &push_one] {
             for force in [&[][..], &["--force"]] {
-                let error = run(&[&push[..], force].concat()).fails(4, "device_changed");
+                let error = run(&[push, force].concat()).fails(4, "device_changed");
                 let message = error["text"].as_str().unwrap();
                 assert!(
                     message.contains("0000000051570001") && message.contains("0000000051570002")

@@ -150,7 +150,8 @@ impl<'a> LinkRows<'a> {
             return Ok(());
         }
         let message = format!("no raw samples came over the {role} link");
-        let remedy = "switch the raw stream on with `wimu device settings set`, or use the other link";
+        let remedy =
+            "switch the raw stream on with `wimu device settings set`, or use the other link";
         Err(Code::NoRows.error(message, remedy).at(name))
     }
 }

@@ -206,11 +206,6 @@ pub fn snapshot(name: &str, text: &str, more: &[(&str, &str)]) {
     compare(name, text, FILTERS.iter().chain(more));
 }
 
-/// Compares text with `snapshots/NAME.snap` as it is.
-pub fn verbatim(name: &str, text: &str) {
-    compare(name, text, []);
-}
-
 /// Folders, ports, numbers of full precision, the sign of zero, ids, times and numbers of system errors.
 const FILTERS: &[(&str, &str)] = &[
     (r"[^\s`'\x22=:,]*/\.tmp\w{6}/", ""),

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 
 use wimu_nav::nalgebra::{Rotation3, Vector3};
-use wimu_nav::navigator::{Profile, Sample, Settings, Start, WithGyroscope};
+use wimu_nav::navigator::{Navigator, Profile, Sample, Settings, Start};
 use wimu_nav::stance::stances;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
@@ -29,7 +29,7 @@ fn pose(t: f64) -> (Vector3<f64>, f64) {
 }
 
 /// What the unit measures, with constant biases and noise.
-fn samples() -> Vec<Sample<f64>> {
+fn samples() -> Vec<Sample> {
     let mut random = wimu_testkit::Random::new(1);
     let mut vector = |deviation| Vector3::from(random.normals(deviation));
     let [force_bias, rate_bias] = [vector(0.03), vector(0.003)];
@@ -53,7 +53,7 @@ fn samples() -> Vec<Sample<f64>> {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let samples = samples();
     // The statistic of the window about each sample: the detector answers for its middle.
-    let mut detector = Stationarity::<f64>::new(Detector::foot());
+    let mut detector = Stationarity::new(Detector::foot());
     let lag = (detector.lag_s() / STEP_S).round() as usize;
     let mut statistic: Vec<f64> = (samples.iter())
         .map(|s| {
@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Start::align(&samples[..REST], true).ok_or("no specific force")?;
     let truth_m = pose(samples.len() as f64 * STEP_S).0;
     let end = |used: bool| -> Result<[f64; 2], Box<dyn std::error::Error>> {
-        let mut navigator = WithGyroscope::new(Settings::of(Profile::Foot), &start)?;
+        let mut navigator = Navigator::new(Settings::of(Profile::Foot), &start);
         for (k, sample) in samples.iter().enumerate() {
             // The rest at the start gives the biases of the gyroscope.
             navigator.push(sample, k < REST)?;

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use wimu_nav::filter::Gate;
 use wimu_nav::nalgebra::Vector3;
-use wimu_nav::navigator::{Profile, Sample, Settings, Start, WithGyroscope};
+use wimu_nav::navigator::{Navigator, Profile, Sample, Settings, Start};
 use wimu_nav::sensor::Position;
 
 const STEP_S: f64 = 0.02;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut random = wimu_testkit::Random::new(1);
     let mut vector = |deviation| Vector3::from(random.normals(deviation));
     let [force_bias, rate_bias] = [vector(0.03), vector(0.003)];
-    let samples: Vec<Sample<f64>> = (0..STEPS)
+    let samples: Vec<Sample> = (0..STEPS)
         .map(|k| {
             let [_, rate, acceleration] = angle(k as f64 * STEP_S);
             let level = Vector3::new(acceleration, rate * rate, 0.0) * RADIUS_M;
@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .collect();
     let start = Start::align(&samples[..100], true).ok_or("no specific force")?;
     let mut rms_m = |aided: bool| -> Result<(f64, usize), Box<dyn std::error::Error>> {
-        let mut navigator = WithGyroscope::new(Settings::of(Profile::Vehicle), &start)?;
+        let mut navigator = Navigator::new(Settings::of(Profile::Vehicle), &start);
         let (mut squares, mut rejected) = (0.0, 0);
         for (k, sample) in samples.iter().enumerate() {
             let t = k as f64 * STEP_S;

@@ -5,7 +5,7 @@ use wimu_nav::filter::{Filter, Gate};
 use wimu_nav::nalgebra::{Rotation3, Vector3};
 use wimu_nav::process::ConstantVelocity;
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, NonLineOfSight, Range, RangeErrors};
-use wimu_nav::state::{Layout, LayoutFull, POSITION};
+use wimu_nav::state::{Layout, POSITION};
 
 const STEP_S: f64 = 0.1;
 /// m: east, north, up.
@@ -25,13 +25,13 @@ fn path(t: f64) -> Vector3<f64> {
     Vector3::new(east, north, 1.2 + 0.7 * (0.31 * t).sin())
 }
 
-fn main() -> Result<(), LayoutFull> {
+fn main() {
     let errors = RangeErrors::default();
     // Attitude, velocity and position, and two states for each anchor: bias and correlated error.
-    let mut layout = Layout::<f64, 21>::new([0.0; 3], 1.0, 0.2);
+    let mut layout = Layout::new([0.0; 3], 1.0, 0.2);
     let mut anchors = Vec::new();
     for position_m in ANCHORS {
-        anchors.push(Anchor::claim(&mut layout, position_m.into(), &errors)?);
+        anchors.push(Anchor::claim(&mut layout, position_m.into(), &errors));
     }
     let mut filter = Filter::new(&layout, Rotation3::identity());
     filter.state.set(POSITION, path(0.0));
@@ -53,6 +53,7 @@ fn main() -> Result<(), LayoutFull> {
                 deviation_m: errors.noise_m,
                 lever_arm_m: Vector3::zeros(),
                 delay: None,
+                age_s: 0.0,
             };
             let (weighted, _) = range.weighted(&filter, &mixture);
             filter.update(&weighted, Gate::Open);
@@ -69,5 +70,4 @@ fn main() -> Result<(), LayoutFull> {
         assert!((bias - truth).abs() < 4.0 * sigma);
     }
     assert!(squares.sqrt() < 0.15);
-    Ok(())
 }

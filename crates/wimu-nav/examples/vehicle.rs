@@ -3,7 +3,7 @@
 
 use wimu_nav::filter::Gate;
 use wimu_nav::nalgebra::{Rotation3, Vector3};
-use wimu_nav::navigator::{InVehicle, Profile, Sample, Settings, Start, VehicleErrors};
+use wimu_nav::navigator::{Navigator, Profile, Sample, Settings, Start, VehicleErrors};
 use wimu_nav::sensor::Position;
 
 const STEP_S: f64 = 0.01;
@@ -56,7 +56,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut error_m = |vehicle: bool, wheels: bool| -> Result<f64, Box<dyn std::error::Error>> {
         let mut settings = Settings::of(Profile::Vehicle);
         settings.vehicle = vehicle.then(VehicleErrors::default);
-        let mut navigator = InVehicle::new(settings, &start)?;
+        let mut navigator = Navigator::new(settings, &start);
         let forward = mount * Vector3::x();
         navigator.set_heading(forward.y.atan2(forward.x));
         for (k, sample) in samples.iter().enumerate() {

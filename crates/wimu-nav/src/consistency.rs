@@ -15,41 +15,37 @@
 //! assert_eq!(rests.variance_factor(), 100.0);
 //! ```
 
-use nalgebra::RealField;
-
-use crate::rotation::real;
-
 /// Probability of a false alarm of either test.
 const FALSE_ALARM: f64 = 1e-4;
 
 /// Normalised innovations of an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Consistency<R> {
-    statistic: R,
+pub struct Consistency {
+    statistic: f64,
     dof: usize,
     checks: usize,
     /// The least probable innovation: its standard score, and its square over its degrees of freedom.
-    worst: Option<(R, R)>,
+    worst: Option<(f64, f64)>,
 }
 
-impl<R: RealField + Copy> Default for Consistency<R> {
+impl Default for Consistency {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<R: RealField + Copy> Consistency<R> {
+impl Consistency {
     /// Of no innovation.
     pub fn new() -> Self {
-        Self { statistic: R::zero(), dof: 0, checks: 0, worst: None }
+        Self { statistic: 0.0, dof: 0, checks: 0, worst: None }
     }
 
     /// Takes a normalised innovation squared with its degrees of freedom. One that is not a number is left out.
-    pub fn see(&mut self, statistic: R, dof: usize) {
+    pub fn see(&mut self, statistic: f64, dof: usize) {
         if !statistic.is_finite() || dof == 0 {
             return;
         }
-        let of_dof = real::<R>(dof as f64);
+        let of_dof = dof as f64;
         self.statistic += statistic;
         self.dof += dof;
         self.checks += 1;
@@ -74,25 +70,25 @@ impl<R: RealField + Copy> Consistency<R> {
     }
 
     /// Mean square of the normalised innovations, with their degrees of freedom; `None` without one.
-    pub fn mean_square(&self) -> Option<(R, usize)> {
-        (self.dof > 0).then(|| (self.statistic / real(self.dof as f64), self.dof))
+    pub fn mean_square(&self) -> Option<(f64, usize)> {
+        (self.dof > 0).then(|| (self.statistic / (self.dof as f64), self.dof))
     }
 
     /// What the covariance must be multiplied by: 1 where neither test fails, else the larger of the mean square of all and
     /// of the worst innovation.
-    pub fn variance_factor(&self) -> R {
-        let one = R::one();
+    pub fn variance_factor(&self) -> f64 {
+        let one = 1.0;
         let Some((worst, ratio)) = self.worst else {
             return one;
         };
-        let dof = real::<R>(self.dof as f64);
-        let level = real::<R>(FALSE_ALARM);
-        let is_improbable = |score: R, level: R| score > one && tail(score) < level;
+        let dof = self.dof as f64;
+        let level = FALSE_ALARM;
+        let is_improbable = |score: f64, level: f64| score > one && tail(score) < level;
         let mut factor = one;
         if is_improbable(score(self.statistic, dof), level) {
             factor = factor.max(self.statistic / dof);
         }
-        if is_improbable(worst, level / real(self.checks as f64)) {
+        if is_improbable(worst, level / (self.checks as f64)) {
             factor = factor.max(ratio);
         }
         factor
@@ -100,12 +96,12 @@ impl<R: RealField + Copy> Consistency<R> {
 }
 
 /// Standard score of a χ² value (E. B. Wilson and M. M. Hilferty, "The distribution of chi-square", 1931).
-fn score<R: RealField + Copy>(statistic: R, dof: R) -> R {
-    let spread = real::<R>(2.0 / 9.0) / dof;
-    ((statistic / dof).cbrt() - (R::one() - spread)) / spread.sqrt()
+fn score(statistic: f64, dof: f64) -> f64 {
+    let spread = (2.0 / 9.0) / dof;
+    (libm::cbrt(statistic / dof) - (1.0 - spread)) / libm::sqrt(spread)
 }
 
 /// Probability of a larger standard score; above 3 it is at most 9 % too large (Mills).
-fn tail<R: RealField + Copy>(score: R) -> R {
-    (-score * score * real(0.5)).exp() / (score * real(2.506_628_274_631))
+fn tail(score: f64) -> f64 {
+    libm::exp(-score * score * 0.5) / (score * 2.506_628_274_631)
 }

@@ -1,12 +1,15 @@
 //! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor. Equations (117) to (121) of
 //! docs/EQUATIONS.md.
 
-use nalgebra::{RealField, Rotation3, SMatrix, SVector};
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+
+use nalgebra::{DMatrix, DVector, Rotation3, SMatrix};
 
 use crate::process::{Process, Transition};
-use crate::rotation::{orthonormal, real};
+use crate::rotation::orthonormal;
 use crate::sensor::{Measurement, Prediction};
-use crate::smoother::Recorder;
+use crate::smoother::Log;
 use crate::state::{Block, Layout, State};
 
 /// Which measurements an update accepts.
@@ -33,51 +36,103 @@ pub fn chi_square_quantile(dof: usize) -> f64 {
 
 /// Test of a measurement against its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Innovation<R> {
+pub struct Innovation {
     /// Normalised innovation squared: χ² distributed if the filter is consistent. Not a number where the covariance is
     /// not positive definite.
-    pub statistic: R,
+    pub statistic: f64,
     /// Degrees of freedom.
     pub dof: usize,
     /// Logarithm of the Gaussian density of the measurement.
-    pub log_likelihood: R,
+    pub log_likelihood: f64,
     /// Whether the state was updated.
     pub accepted: bool,
 }
 
-/// The filter: nominal state, and covariance of its error.
-#[derive(Clone, Debug)]
-pub struct Filter<R, const N: usize> {
-    /// Nominal state.
-    pub state: State<R, N>,
-    pub(crate) covariance: SMatrix<R, N, N>,
-    pub(crate) considered: [bool; N],
-    /// Steps since the attitude was made orthonormal.
-    steps: u8,
+/// P Hᵀ and the gain of an update.
+struct Solved {
+    cross: DMatrix<f64>,
+    gain: DMatrix<f64>,
 }
 
-impl<R: RealField + Copy, const N: usize> Filter<R, N> {
+/// The filter: nominal state, and covariance of its error.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    /// Nominal state.
+    pub state: State,
+    pub(crate) covariance: DMatrix<f64>,
+    pub(crate) considered: Vec<bool>,
+    /// Steps since the attitude was made orthonormal.
+    steps: u8,
+    log: Option<Box<Log>>,
+}
+
+impl Filter {
     /// At an attitude, with all other states zero and the standard deviations of the layout.
-    pub fn new(layout: &Layout<R, N>, attitude: Rotation3<R>) -> Self {
-        let variance = layout.deviation.map(|deviation| deviation * deviation);
+    pub fn new(layout: &Layout, attitude: Rotation3<f64>) -> Self {
+        let variance = DVector::from_iterator(layout.len(), layout.deviation.iter().map(|d| d * d));
         Self {
-            state: State { attitude, vector: SVector::zeros() },
-            covariance: SMatrix::from_diagonal(&variance),
-            considered: layout.considered,
+            state: State { attitude, vector: DVector::zeros(layout.len()) },
+            covariance: DMatrix::from_diagonal(&variance),
+            considered: layout.considered.clone(),
             steps: 0,
+            log: None,
         }
     }
 
-    /// Adds the states of a layout from the index `first` on, with their standard deviations.
-    pub(crate) fn extend(&mut self, layout: &Layout<R, N>, first: usize) {
-        for k in first..layout.used {
-            self.covariance[(k, k)] = layout.deviation[k] * layout.deviation[k];
-            self.considered[k] = layout.considered[k];
+    /// Adds the states that a layout has claimed since, with their standard deviations.
+    pub(crate) fn extend(&mut self, layout: &Layout) {
+        let (from, to) = (self.considered.len(), layout.len());
+        let none = DMatrix::zeros(0, 0);
+        self.covariance = core::mem::replace(&mut self.covariance, none).resize(to, to, 0.0);
+        let vector = core::mem::replace(&mut self.state.vector, DVector::zeros(0));
+        self.state.vector = vector.resize_vertically(to, 0.0);
+        for (k, deviation) in layout.deviation.iter().enumerate().skip(from) {
+            self.covariance[(k, k)] = deviation * deviation;
+        }
+        self.considered.clone_from(&layout.considered);
+        self.restart_log();
+    }
+
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.considered.len()
+    }
+
+    /// Records all that follows, for a smoother.
+    pub fn record(&mut self, log: Log) {
+        self.log = Some(Box::new(log));
+        self.restart_log();
+    }
+
+    /// What was recorded.
+    pub fn log_mut(&mut self) -> Option<&mut Log> {
+        self.log.as_deref_mut()
+    }
+
+    pub(crate) fn take_log(&mut self) -> Option<Box<Log>> {
+        self.log.take()
+    }
+
+    pub(crate) fn put_log(&mut self, log: Option<Box<Log>>) {
+        self.log = log;
+    }
+
+    /// Ends the updates of a time, which is a step later than that before, s.
+    pub fn end_step(&mut self, step_s: f64) {
+        if let Some(log) = &mut self.log {
+            log.updated(&self.state, &self.covariance, &self.considered, step_s);
+        }
+    }
+
+    /// The state or its covariance was replaced: what follows says nothing of what was before.
+    pub fn restart_log(&mut self) {
+        if let Some(log) = &mut self.log {
+            log.restarted(&self.state, &self.covariance, &self.considered);
         }
     }
 
     /// Covariance of a block.
-    pub fn covariance<const W: usize>(&self, block: Block<W>) -> SMatrix<R, W, W> {
+    pub fn covariance<const W: usize>(&self, block: Block<W>) -> SMatrix<f64, W, W> {
         self.cross_covariance(block, block)
     }
 
@@ -86,9 +141,8 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         &self,
         rows: Block<V>,
         columns: Block<W>,
-    ) -> SMatrix<R, V, W> {
-        let view = self.covariance.fixed_view::<V, W>(rows.start(), columns.start());
-        view.into_owned()
+    ) -> SMatrix<f64, V, W> {
+        self.covariance.fixed_view::<V, W>(rows.start(), columns.start()).into_owned()
     }
 
     /// Replaces the covariance of a block by a given one, without correlation to other blocks: for a prior that is
@@ -96,11 +150,11 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     pub fn set_covariance<const W: usize>(
         &mut self,
         block: Block<W>,
-        covariance: &SMatrix<R, W, W>,
+        covariance: &SMatrix<f64, W, W>,
     ) {
         let start = block.start();
-        self.covariance.fixed_rows_mut::<W>(start).fill(R::zero());
-        self.covariance.fixed_columns_mut::<W>(start).fill(R::zero());
+        self.covariance.fixed_rows_mut::<W>(start).fill(0.0);
+        self.covariance.fixed_columns_mut::<W>(start).fill(0.0);
         self.covariance.fixed_view_mut::<W, W>(start, start).copy_from(covariance);
     }
 
@@ -109,184 +163,141 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
         &mut self,
         rows: Block<V>,
         columns: Block<W>,
-        covariance: &SMatrix<R, V, W>,
+        covariance: &SMatrix<f64, V, W>,
     ) {
-        self.covariance.fixed_view_mut::<V, W>(rows.start(), columns.start()).copy_from(covariance);
-        self.covariance
-            .fixed_view_mut::<W, V>(columns.start(), rows.start())
-            .copy_from(&covariance.transpose());
+        let (row, column) = (rows.start(), columns.start());
+        self.covariance.fixed_view_mut::<V, W>(row, column).copy_from(covariance);
+        self.covariance.fixed_view_mut::<W, V>(column, row).copy_from(&covariance.transpose());
     }
 
     /// Whether state and variances are finite and no variance is negative.
     pub fn is_sound(&self) -> bool {
         let variances = self.covariance.diagonal();
-        self.state.is_finite() && variances.iter().all(|v| v.is_finite() && *v >= R::zero())
+        self.state.is_finite() && variances.iter().all(|v| v.is_finite() && *v >= 0.0)
     }
 
     /// Prediction: state and covariance after a step of the process, P ← F P Fᵀ + Q.
-    pub fn predict(&mut self, process: &impl Process<R, N>) {
-        self.predict_recorded(process, &mut ());
-    }
-
-    /// Prediction that is recorded for a smoother.
-    pub fn predict_recorded(
-        &mut self,
-        process: &impl Process<R, N>,
-        recorder: &mut impl Recorder<R, N>,
-    ) {
-        let mut transition = Transition::new();
+    pub fn predict(&mut self, process: &impl Process) {
+        let mut transition = Transition::new(self.states());
         process.propagate(&mut self.state, &mut transition);
         transition.apply(&mut self.covariance);
         self.steps = self.steps.wrapping_add(1);
         if self.steps == 0 {
             self.state.attitude = orthonormal(&self.state.attitude);
         }
-        recorder.predicted(self, &transition);
+        if let Some(log) = &mut self.log {
+            log.predicted(&self.state, &transition);
+        }
     }
 
     /// Test of a measurement, without an update.
-    pub fn test<const M: usize>(&self, measurement: &impl Measurement<R, N, M>) -> Innovation<R> {
-        let prediction = measurement.predict(self);
-        self.solve(&prediction).0
+    pub fn test(&self, measurement: &impl Measurement) -> Innovation {
+        self.solve(&measurement.predict(self)).0
     }
 
     /// Update with a measurement: the optimal gain, with the rows of considered states set to zero, in Joseph's form
     /// (P. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd ed. 2013, 3.4.3).
-    pub fn update<const M: usize>(
-        &mut self,
-        measurement: &impl Measurement<R, N, M>,
-        gate: Gate,
-    ) -> Innovation<R> {
-        self.update_recorded(measurement, gate, &mut ())
-    }
-
-    /// Update that is recorded for a smoother.
-    pub fn update_recorded<const M: usize>(
-        &mut self,
-        measurement: &impl Measurement<R, N, M>,
-        gate: Gate,
-        recorder: &mut impl Recorder<R, N>,
-    ) -> Innovation<R> {
-        let accept = |innovation: &Innovation<R>| match gate {
+    pub fn update(&mut self, measurement: &impl Measurement, gate: Gate) -> Innovation {
+        self.update_if(measurement, |innovation| match gate {
             Gate::Open => innovation.statistic.is_finite(),
-            Gate::ChiSquare => innovation.statistic <= real(chi_square_quantile(M)),
-        };
-        self.update_if(measurement, accept, recorder)
+            Gate::ChiSquare => innovation.statistic <= chi_square_quantile(innovation.dof),
+        })
     }
 
     /// Update of some states only: the others are considered meanwhile.
-    pub(crate) fn update_only<const M: usize>(
+    pub(crate) fn update_only(
         &mut self,
         estimated: impl Fn(usize) -> bool,
-        measurement: &impl Measurement<R, N, M>,
-        recorder: &mut impl Recorder<R, N>,
-    ) -> Innovation<R> {
-        let considered = self.considered;
-        self.considered = core::array::from_fn(|state| considered[state] || !estimated(state));
-        let innovation = self.update_recorded(measurement, Gate::ChiSquare, recorder);
+        measurement: &impl Measurement,
+    ) -> Innovation {
+        let considered = self.considered.clone();
+        for (state, is_considered) in self.considered.iter_mut().enumerate() {
+            *is_considered |= !estimated(state);
+        }
+        let innovation = self.update(measurement, Gate::ChiSquare);
         self.considered = considered;
         innovation
     }
 
     /// Update where a condition on the innovation holds.
-    pub(crate) fn update_if<const M: usize>(
+    pub(crate) fn update_if(
         &mut self,
-        measurement: &impl Measurement<R, N, M>,
-        accept: impl FnOnce(&Innovation<R>) -> bool,
-        recorder: &mut impl Recorder<R, N>,
-    ) -> Innovation<R> {
+        measurement: &impl Measurement,
+        accept: impl FnOnce(&Innovation) -> bool,
+    ) -> Innovation {
         let prediction = measurement.predict(self);
         let (mut innovation, solved) = self.solve(&prediction);
         innovation.accepted = accept(&innovation);
-        let Some((cross, gain)) = solved.filter(|_| innovation.accepted) else {
+        let Some(Solved { cross, gain }) = solved.filter(|_| innovation.accepted) else {
             innovation.accepted = false;
             return innovation;
         };
         // (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, without products of N × N matrices: P Hᵀ is known.
-        let left = cross - gain * (prediction.jacobian.0 * cross) - gain * prediction.covariance;
-        self.covariance -= gain * cross.transpose() + left * gain.transpose();
-        let transposed = self.covariance.transpose();
-        self.covariance = (self.covariance + transposed) * real::<R>(0.5);
-        self.state.correct(gain * prediction.innovation);
-        recorder.corrected(&gain, &prediction);
+        let left = &cross - &gain * prediction.by_h(&cross) - &gain * &prediction.r;
+        self.covariance.gemm(-1.0, &gain, &cross.transpose(), 1.0);
+        self.covariance.gemm(-1.0, &left, &gain.transpose(), 1.0);
+        symmetrise(&mut self.covariance);
+        self.state.correct(&gain * &prediction.z);
+        if let Some(log) = &mut self.log {
+            log.corrected(&gain, &prediction);
+        }
         innovation
     }
 
-    /// P Hᵀ. Most columns of H are zero.
-    fn cross<const M: usize>(&self, h: &SMatrix<R, M, N>) -> SMatrix<R, N, M> {
-        let mut cross = SMatrix::<R, N, M>::zeros();
-        for k in 0..N {
-            let column = h.column(k);
-            if column.iter().any(|x| *x != R::zero()) {
-                cross.ger(R::one(), &self.covariance.column(k), &column, R::one());
-            }
-        }
-        cross
-    }
-
     /// Covariance of an innovation: H P Hᵀ + R.
-    pub(crate) fn variance_of<const M: usize>(
-        &self,
-        prediction: &Prediction<R, N, M>,
-    ) -> SMatrix<R, M, M> {
-        let h = &prediction.jacobian.0;
-        h * self.cross(h) + prediction.covariance
+    pub(crate) fn variance_of(&self, prediction: &Prediction) -> DMatrix<f64> {
+        prediction.by_h(&prediction.times_ht(&self.covariance)) + &prediction.r
     }
 
     /// Innovation, P Hᵀ and gain. No gain where the covariance of the innovation is not positive definite.
-    #[allow(clippy::type_complexity)]
-    fn solve<const M: usize>(
-        &self,
-        prediction: &Prediction<R, N, M>,
-    ) -> (Innovation<R>, Option<(SMatrix<R, N, M>, SMatrix<R, N, M>)>) {
-        let h = &prediction.jacobian.0;
-        let cross = self.cross(h);
-        let Some(factor) = (h * cross + prediction.covariance).cholesky() else {
-            let statistic = R::zero() / R::zero();
-            let innovation =
-                Innovation { statistic, dof: M, log_likelihood: statistic, accepted: false };
-            return (innovation, None);
+    fn solve(&self, prediction: &Prediction) -> (Innovation, Option<Solved>) {
+        let dof = prediction.z.len();
+        let cross = prediction.times_ht(&self.covariance);
+        let Some(factor) = (prediction.by_h(&cross) + &prediction.r).cholesky() else {
+            let none = f64::NAN;
+            return (
+                Innovation { statistic: none, dof, log_likelihood: none, accepted: false },
+                None,
+            );
         };
-        let weighted = factor.solve(&prediction.innovation);
-        let statistic = prediction.innovation.dot(&weighted);
-        let log_determinant = factor.l_dirty().diagonal().map(|d| d.ln()).sum() * real::<R>(2.0);
-        let normalisation = real::<R>(M as f64 * libm::log(core::f64::consts::TAU));
+        let statistic = prediction.z.dot(&factor.solve(&prediction.z));
+        let log_determinant = 2.0 * factor.l_dirty().diagonal().map(libm::log).sum();
+        let normalisation = dof as f64 * libm::log(core::f64::consts::TAU);
         let innovation = Innovation {
             statistic,
-            dof: M,
-            log_likelihood: (statistic + log_determinant + normalisation) * real::<R>(-0.5),
-            accepted: statistic <= real(chi_square_quantile(M)),
+            dof,
+            log_likelihood: -0.5 * (statistic + log_determinant + normalisation),
+            accepted: statistic <= chi_square_quantile(dof),
         };
-        let mut gain = cross * factor.inverse();
+        let mut gain = &cross * factor.inverse();
         for (row, _) in self.considered.iter().enumerate().filter(|(_, considered)| **considered) {
-            gain.row_mut(row).fill(R::zero());
+            gain.row_mut(row).fill(0.0);
         }
-        (innovation, Some((cross, gain)))
+        (innovation, Some(Solved { cross, gain }))
     }
 
     /// Squared difference of a block to that of another filter, over the mean of both covariances. Infinite where that is
     /// not positive definite.
-    pub(crate) fn distance<const W: usize>(&self, other: &Self, block: Block<W>) -> R {
+    pub(crate) fn distance<const W: usize>(&self, other: &Self, block: Block<W>) -> f64 {
         let difference = other.state.get(block) - self.state.get(block);
-        let covariance = (self.covariance(block) + other.covariance(block)) * real::<R>(0.5);
-        covariance
-            .cholesky()
-            .map_or(R::one() / R::zero(), |factor| difference.dot(&factor.solve(&difference)))
+        let covariance = (self.covariance(block) + other.covariance(block)) * 0.5;
+        let factor = covariance.cholesky();
+        factor.map_or(f64::INFINITY, |factor| difference.dot(&factor.solve(&difference)))
     }
 
     /// Mean and covariance of this and another filter, the other with probability `fraction`.
-    pub(crate) fn moments(&self, other: &Self, fraction: R) -> Self {
+    pub(crate) fn moments(&self, other: &Self, fraction: f64) -> Self {
         let mut joined = self.clone();
         let difference = self.state.difference(&other.state);
-        joined.state.correct(difference * fraction);
-        let rest = R::one() - fraction;
-        joined.covariance = self.covariance * rest + other.covariance * fraction;
-        joined.covariance.ger(fraction * rest, &difference, &difference, R::one());
+        joined.state.correct(&difference * fraction);
+        let rest = 1.0 - fraction;
+        joined.covariance = &self.covariance * rest + &other.covariance * fraction;
+        joined.covariance.ger(fraction * rest, &difference, &difference, 1.0);
         joined
     }
 
     /// Adds variances to the states of a block.
-    pub(crate) fn add_variance<const W: usize>(&mut self, block: Block<W>, variance: [R; W]) {
+    pub(crate) fn add_variance<const W: usize>(&mut self, block: Block<W>, variance: [f64; W]) {
         for (k, variance) in variance.into_iter().enumerate() {
             let at = block.start() + k;
             self.covariance[(at, at)] += variance;
@@ -294,7 +305,7 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     }
 
     /// Rotates a block whose vector is in the navigation frame: its values, covariance and correlations.
-    pub(crate) fn rotate(&mut self, block: Block<3>, rotation: &Rotation3<R>) {
+    pub(crate) fn rotate(&mut self, block: Block<3>, rotation: &Rotation3<f64>) {
         let values = rotation * self.state.get(block);
         self.state.set(block, values);
         let start = block.start();
@@ -305,11 +316,22 @@ impl<R: RealField + Copy, const N: usize> Filter<R, N> {
     }
 
     /// Scales the covariance of some states, with all correlations kept.
-    pub(crate) fn scale_covariance(&mut self, states: impl Fn(usize) -> bool, factor: R) {
-        let root = factor.sqrt();
-        for k in (0..N).filter(|k| states(*k)) {
+    pub(crate) fn scale_covariance(&mut self, states: impl Fn(usize) -> bool, factor: f64) {
+        let root = libm::sqrt(factor);
+        for k in (0..self.states()).filter(|k| states(*k)) {
             self.covariance.row_mut(k).scale_mut(root);
             self.covariance.column_mut(k).scale_mut(root);
+        }
+    }
+}
+
+/// The mean of a matrix and its transpose.
+pub(crate) fn symmetrise(matrix: &mut DMatrix<f64>) {
+    for column in 1..matrix.ncols() {
+        for row in 0..column {
+            let mean = 0.5 * (matrix[(row, column)] + matrix[(column, row)]);
+            matrix[(row, column)] = mean;
+            matrix[(column, row)] = mean;
         }
     }
 }

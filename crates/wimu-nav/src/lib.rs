@@ -2,6 +2,8 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+extern crate alloc;
+
 // One unit.
 pub mod navigator;
 pub mod stance;

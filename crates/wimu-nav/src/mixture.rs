@@ -7,10 +7,8 @@
 //! with Markovian switching coefficients", IEEE Trans. Autom. Control 33, 1988).
 
 use heapless::Vec;
-use nalgebra::RealField;
 
 use crate::filter::{Filter, Gate, Innovation};
-use crate::rotation::real;
 use crate::sensor::Measurement;
 use crate::state::Block;
 
@@ -21,50 +19,50 @@ const CANDIDATES: usize = 24;
 
 /// A filter with the logarithm of its probability.
 #[derive(Clone, Debug)]
-pub struct Component<R, const N: usize> {
+pub struct Component {
     /// Logarithm of the probability.
-    pub log_weight: R,
+    pub log_weight: f64,
     /// State and covariance under this hypothesis.
-    pub filter: Filter<R, N>,
+    pub filter: Filter,
 }
 
 /// At most `K` filters with their probabilities, the most probable first. There is always one.
 #[derive(Clone, Debug)]
-pub struct Mixture<R, const N: usize, const K: usize> {
-    components: Vec<Component<R, N>, K>,
+pub struct Mixture<const K: usize> {
+    components: Vec<Component, K>,
 }
 
 /// A measurement under one hypothesis of one component.
-struct Candidate<R, Z> {
+struct Candidate<Z> {
     parent: usize,
     measurement: Z,
-    log_weight: R,
-    innovation: Option<Innovation<R>>,
+    log_weight: f64,
+    innovation: Option<Innovation>,
 }
 
-impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
+impl<const K: usize> Mixture<K> {
     /// One filter, with probability 1.
-    pub fn new(filter: Filter<R, N>) -> Self {
+    pub fn new(filter: Filter) -> Self {
         const { assert!(K >= 1, "a mixture needs a component") };
         let mut components = Vec::new();
-        let log_weight = R::zero();
+        let log_weight = 0.0;
         let _ = components.push(Component { log_weight, filter });
         Self { components }
     }
 
     /// The components, the most probable first.
-    pub fn components(&self) -> &[Component<R, N>] {
+    pub fn components(&self) -> &[Component] {
         &self.components
     }
 
     /// The filters, for predictions, and updates that do not distinguish between them.
-    pub fn filters_mut(&mut self) -> impl Iterator<Item = &mut Filter<R, N>> {
+    pub fn filters_mut(&mut self) -> impl Iterator<Item = &mut Filter> {
         self.components.iter_mut().map(|c| &mut c.filter)
     }
 
     /// Probability of the most probable component.
-    pub fn certainty(&self) -> R {
-        self.components.first().map_or(R::one(), |best| best.log_weight.exp())
+    pub fn certainty(&self) -> f64 {
+        self.components.first().map_or(1.0, |best| libm::exp(best.log_weight))
     }
 
     /// Update with a measurement whose model is ambiguous. `propose` calls its second argument with each model that may hold
@@ -75,13 +73,13 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
     ///
     /// Returns the innovation of the most probable one. It is not accepted, and the mixture unchanged, where its statistic
     /// exceeds `limit`. `None`: no model was proposed, or none had a finite likelihood.
-    pub fn update<const M: usize, Z: Measurement<R, N, M>>(
+    pub fn update<Z: Measurement>(
         &mut self,
-        freedom: R,
-        limit: R,
-        mut propose: impl FnMut(&Filter<R, N>, &mut dyn FnMut(Z)),
-    ) -> Option<Innovation<R>> {
-        let mut candidates: Vec<Candidate<R, Z>, CANDIDATES> = Vec::new();
+        freedom: f64,
+        limit: f64,
+        mut propose: impl FnMut(&Filter, &mut dyn FnMut(Z)),
+    ) -> Option<Innovation> {
+        let mut candidates: Vec<Candidate<Z>, CANDIDATES> = Vec::new();
         for (parent, component) in self.components.iter().enumerate() {
             propose(&component.filter, &mut |measurement| {
                 let _ = candidates.push(Candidate {
@@ -93,8 +91,8 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
             });
         }
         if let ([component], [only]) = (&mut *self.components, &*candidates) {
-            let within = |i: &Innovation<R>| i.statistic <= limit;
-            let innovation = component.filter.update_if(&only.measurement, within, &mut ());
+            let within = |i: &Innovation| i.statistic <= limit;
+            let innovation = component.filter.update_if(&only.measurement, within);
             return Some(innovation).filter(|i| i.statistic.is_finite());
         }
         self.weigh(&mut candidates, freedom);
@@ -103,7 +101,7 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
         if !best.accepted {
             return Some(best);
         }
-        let mut children: Vec<Component<R, N>, K> = Vec::new();
+        let mut children: Vec<Component, K> = Vec::new();
         for candidate in &candidates {
             if let Some(parent) = self.components.get(candidate.parent) {
                 let mut filter = parent.filter.clone();
@@ -121,11 +119,7 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
     }
 
     /// Likelihoods of the candidates, the greatest first; without those that are pruned.
-    fn weigh<const M: usize, Z: Measurement<R, N, M>>(
-        &self,
-        candidates: &mut Vec<Candidate<R, Z>, CANDIDATES>,
-        freedom: R,
-    ) {
+    fn weigh<Z: Measurement>(&self, candidates: &mut Vec<Candidate<Z>, CANDIDATES>, freedom: f64) {
         for candidate in candidates.iter_mut() {
             if let Some(parent) = self.components.get(candidate.parent) {
                 let innovation = parent.filter.test(&candidate.measurement);
@@ -139,13 +133,13 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
             order.unwrap_or(core::cmp::Ordering::Equal)
         });
         if let Some(most) = candidates.first().map(|c| c.log_weight) {
-            candidates.retain(|c| c.log_weight > most + real(PRUNED));
+            candidates.retain(|c| c.log_weight > most + PRUNED);
         }
         candidates.truncate(K);
     }
 
     /// Merges components whose states in a block differ by less than `distance` squared deviations.
-    pub fn merge<const W: usize>(&mut self, block: Block<W>, distance: R) {
+    pub fn merge<const W: usize>(&mut self, block: Block<W>, distance: f64) {
         if self.components.len() < 2 {
             return;
         }
@@ -168,7 +162,7 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
     }
 
     /// One filter with the mean and the covariance of the mixture.
-    pub fn moments(&self) -> Filter<R, N> {
+    pub fn moments(&self) -> Filter {
         let mut all = self.components[0].clone();
         for component in self.components.iter().skip(1) {
             all = all.merged(component);
@@ -177,12 +171,12 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
     }
 
     /// Update of every component with one measurement. Returns the innovation of the component that was the most probable.
-    pub fn update_each<const M: usize>(
+    pub fn update_each(
         &mut self,
-        freedom: R,
+        freedom: f64,
         gate: Gate,
-        measurement: &impl Measurement<R, N, M>,
-    ) -> Option<Innovation<R>> {
+        measurement: &impl Measurement,
+    ) -> Option<Innovation> {
         let mut best = None;
         for component in &mut self.components {
             let innovation = component.filter.update(measurement, gate);
@@ -204,32 +198,31 @@ impl<R: RealField + Copy, const N: usize, const K: usize> Mixture<R, N, K> {
         });
         let most = self.components[0].log_weight;
         let mut first = true;
-        self.components
-            .retain(|c| core::mem::take(&mut first) || c.log_weight >= most + real(PRUNED));
-        let weights = self.components.iter().map(|c| (c.log_weight - most).exp());
-        let total = most + weights.fold(R::zero(), |sum, w| sum + w).ln();
+        self.components.retain(|c| core::mem::take(&mut first) || c.log_weight >= most + PRUNED);
+        let weights = self.components.iter().map(|c| libm::exp(c.log_weight - most));
+        let total = most + libm::log(weights.fold(0.0, |sum, w| sum + w));
         for component in &mut self.components {
             component.log_weight -= total;
         }
     }
 }
 
-impl<R: RealField + Copy, const N: usize> Component<R, N> {
+impl Component {
     /// Both with their mean and covariance.
     fn merged(&self, other: &Self) -> Self {
         let most = self.log_weight.max(other.log_weight);
-        let [a, b] = [self, other].map(|c| (c.log_weight - most).exp());
+        let [a, b] = [self, other].map(|c| libm::exp(c.log_weight - most));
         Self {
-            log_weight: most + (a + b).ln(),
+            log_weight: most + libm::log(a + b),
             filter: self.filter.moments(&other.filter, b / (a + b)),
         }
     }
 }
 
 /// Logarithm of Student's t density of an innovation, up to a constant.
-fn robust<R: RealField + Copy>(innovation: &Innovation<R>, freedom: R) -> R {
-    let half = real::<R>(0.5);
-    let dof = real::<R>(innovation.dof as f64);
+fn robust(innovation: &Innovation, freedom: f64) -> f64 {
+    let half = 0.5;
+    let dof = innovation.dof as f64;
     let gaussian = innovation.log_likelihood + innovation.statistic * half;
-    gaussian - (freedom + dof) * half * (innovation.statistic / freedom).ln_1p()
+    gaussian - (freedom + dof) * half * libm::log1p(innovation.statistic / freedom)
 }

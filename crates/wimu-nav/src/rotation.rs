@@ -4,36 +4,36 @@
 
 use nalgebra::{Matrix3, RealField, Rotation3, Vector3};
 
-/// A constant in the arithmetic of the filter.
+/// A constant in the arithmetic of an array.
 pub(crate) fn real<R: RealField>(value: f64) -> R {
     nalgebra::convert(value)
 }
 
 /// Angle of the body x axis from east towards north, rad.
-pub(crate) fn yaw<R: RealField + Copy>(attitude: &Rotation3<R>) -> R {
-    attitude[(1, 0)].atan2(attitude[(0, 0)])
+pub(crate) fn yaw(attitude: &Rotation3<f64>) -> f64 {
+    libm::atan2(attitude[(1, 0)], attitude[(0, 0)])
 }
 
 /// Rotation about the vertical, rad.
-pub(crate) fn about_up<R: RealField + Copy>(angle: R) -> Rotation3<R> {
+pub(crate) fn about_up(angle: f64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
 /// Attitude at rest from the specific force, which points up, and the magnetic field (TRIAD; M. Shuster and S. Oh,
 /// "Three-axis attitude determination from vector observations", 1981). Without a field, or where it is vertical, east
 /// is next to the body x axis. `None` where the specific force has no direction.
-pub(crate) fn level<R: RealField + Copy>(
-    specific_force: &Vector3<R>,
-    field: Option<&Vector3<R>>,
-) -> Option<Rotation3<R>> {
-    let up = specific_force.try_normalize(real(1e-6))?;
+pub(crate) fn level(
+    specific_force: &Vector3<f64>,
+    field: Option<&Vector3<f64>>,
+) -> Option<Rotation3<f64>> {
+    let up = specific_force.try_normalize(1e-6)?;
     let east = field
         .and_then(|field| {
             let across = field.cross(&up);
-            across.try_normalize(field.norm() * real(0.05))
+            across.try_normalize(field.norm() * 0.05)
         })
-        .or_else(|| (Vector3::x() - up * up.x).try_normalize(real(0.1)))
-        .or_else(|| (Vector3::y() - up * up.y).try_normalize(real(0.1)))?;
+        .or_else(|| (Vector3::x() - up * up.x).try_normalize(0.1))
+        .or_else(|| (Vector3::y() - up * up.y).try_normalize(0.1))?;
     let north = up.cross(&east);
     let rows = [east, north, up].map(|row| row.transpose());
     Some(Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows)))
@@ -41,8 +41,8 @@ pub(crate) fn level<R: RealField + Copy>(
 
 /// The same rotation with rows of length one at right angles, after many products. One step of Newton's iteration for
 /// the polar decomposition (Higham, "Functions of Matrices", 2008, section 8.3).
-pub(crate) fn orthonormal<R: RealField + Copy>(rotation: &Rotation3<R>) -> Rotation3<R> {
+pub(crate) fn orthonormal(rotation: &Rotation3<f64>) -> Rotation3<f64> {
     let m = rotation.matrix();
-    let corrected = (Matrix3::identity() * real::<R>(1.5) - m * m.transpose() * real::<R>(0.5)) * m;
+    let corrected = (Matrix3::identity() * 1.5 - m * m.transpose() * 0.5) * m;
     Rotation3::from_matrix_unchecked(corrected)
 }

@@ -1,67 +1,126 @@
-//! Sensors: each is one file with the prediction of its measurement.
+//! Sensors by kind: what they should show, and how that depends on the state.
 
-mod accelerometer;
-mod anchor;
-mod angular_rate;
-mod antenna;
-mod common_field;
-mod gravity;
-mod heading;
-mod joint;
-mod line_of_sight;
-mod magnetometer;
+mod direction;
 mod multi_range;
-mod non_holonomic;
-mod odometer;
 mod position;
-mod range;
 mod reading;
 mod reduced_array;
-mod second_order;
 mod velocity;
-mod zero;
 
-pub use accelerometer::SpecificForce;
-pub use anchor::{Anchor, CorrelatedErrors, RangeErrors};
-pub use angular_rate::ZeroAngularRate;
-pub use antenna::Antenna;
-pub use common_field::CommonField;
-pub use gravity::Gravity;
-pub use heading::Heading;
-pub use joint::{CommonAxis, CommonPoint};
-pub use line_of_sight::{LineOfSight, NonLineOfSight};
-pub(crate) use magnetometer::FieldHeading;
-pub use magnetometer::{MagneticField, Magnetometer};
+pub(crate) use direction::FieldHeading;
+pub use direction::{
+    CommonAxis, CommonField, Gravity, Heading, MagneticField, Magnetometer, SpecificForce,
+};
 pub use multi_range::{Transfer, TransferModel};
-pub use non_holonomic::{ForwardAxis, Mounting, NonHolonomic};
-pub use odometer::Odometer;
-pub use range::Range;
+pub use position::{
+    Anchor, Antenna, CommonPoint, CorrelatedErrors, LineOfSight, NonLineOfSight, Position, Range,
+    RangeErrors,
+};
 pub use reading::Reading;
-pub use velocity::{Velocity, recover};
-pub use zero::{VerticalRate, Zero};
-
-pub use position::Position;
 pub use reduced_array::{ArrayNoise, Prior, ReducedArray};
-pub(crate) use second_order::SecondOrder;
+pub use velocity::{Known, Mounting, NonHolonomic, Odometer, Velocity, VerticalRate, recover};
 
-use nalgebra::{SMatrix, SVector};
+use alloc::vec::Vec;
+
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use crate::filter::Filter;
-use crate::state::Jacobian;
+use crate::state::Block;
 
-/// Measured minus predicted value, derivative of the predicted value, and covariance of the noise.
-#[derive(Clone, Debug)]
-pub struct Prediction<R, const N: usize, const M: usize> {
-    /// Measured minus predicted value.
-    pub innovation: SVector<R, M>,
-    /// Derivative of the predicted value with respect to the error of the state (true minus estimated): H of (118).
-    pub jacobian: Jacobian<R, M, N>,
-    /// Covariance of the noise.
-    pub covariance: SMatrix<R, M, M>,
+/// A measurement of any number of values.
+pub trait Measurement {
+    /// Prediction from the state and covariance before the update.
+    fn predict(&self, filter: &Filter) -> Prediction;
 }
 
-/// A measurement of `M` values by a filter with `N` states.
-pub trait Measurement<R, const N: usize, const M: usize> {
-    /// Prediction from the state and covariance before the update.
-    fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, M>;
+/// Measured minus predicted values, their derivative, and the covariance of their noise.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    /// Measured minus predicted values.
+    pub z: DVector<f64>,
+    /// Covariance of the noise.
+    pub r: DMatrix<f64>,
+    /// States with a derivative, and the derivative of the predicted values with respect to the error (true minus estimated)
+    /// of each: the columns of H in (118) that are not zero.
+    states: Vec<usize>,
+    columns: Vec<f64>,
+}
+
+impl Prediction {
+    /// Innovation and covariance of the noise of values that depend on no state.
+    pub fn new<const M: usize>(z: SVector<f64, M>, r: SMatrix<f64, M, M>) -> Self {
+        Self {
+            z: DVector::from_column_slice(z.as_slice()),
+            r: DMatrix::from_column_slice(M, M, r.as_slice()),
+            states: Vec::new(),
+            columns: Vec::new(),
+        }
+    }
+
+    /// The same, with the derivative with respect to a block of which none was given.
+    #[must_use]
+    pub fn by<const M: usize, const W: usize>(
+        mut self,
+        block: Block<W>,
+        derivative: SMatrix<f64, M, W>,
+    ) -> Self {
+        debug_assert_eq!(M, self.z.len(), "rows of the derivative");
+        self.states.extend(block.start()..block.start() + W);
+        self.columns.extend_from_slice(derivative.as_slice());
+        self
+    }
+
+    /// The same, with the derivative with respect to a block if it is among the states.
+    #[must_use]
+    pub fn by_some<const M: usize, const W: usize>(
+        self,
+        block: Option<Block<W>>,
+        derivative: SMatrix<f64, M, W>,
+    ) -> Self {
+        match block {
+            Some(block) => self.by(block, derivative),
+            None => self,
+        }
+    }
+
+    /// States with a derivative, and that derivative.
+    fn h(&self) -> impl Iterator<Item = (usize, &[f64])> {
+        self.states.iter().copied().zip(self.columns.chunks_exact(self.z.len().max(1)))
+    }
+
+    /// P Hᵀ.
+    pub(crate) fn times_ht(&self, p: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut product = DMatrix::zeros(p.nrows(), self.z.len());
+        for (state, derivative) in self.h() {
+            for (mut column, h) in product.column_iter_mut().zip(derivative) {
+                column.axpy(*h, &p.column(state), 1.0);
+            }
+        }
+        product
+    }
+
+    /// H A.
+    pub(crate) fn by_h(&self, a: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut product = DMatrix::zeros(self.z.len(), a.ncols());
+        for (mut sums, column) in product.column_iter_mut().zip(a.column_iter()) {
+            for (state, derivative) in self.h() {
+                for (sum, h) in sums.iter_mut().zip(derivative) {
+                    *sum += h * column[state];
+                }
+            }
+        }
+        product
+    }
+
+    /// The derivative with respect to a block.
+    pub fn derivative<const M: usize, const W: usize>(
+        &self,
+        block: Block<W>,
+    ) -> SMatrix<f64, M, W> {
+        let mut found = SMatrix::<f64, M, W>::zeros();
+        for (state, derivative) in self.h().filter(|(state, _)| block.contains(*state)) {
+            found.column_mut(state - block.start()).copy_from_slice(derivative);
+        }
+        found
+    }
 }

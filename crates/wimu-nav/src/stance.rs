@@ -6,10 +6,6 @@
 
 use core::ops::Range;
 
-use nalgebra::RealField;
-
-use crate::rotation::real;
-
 /// Statistic at which a rolling foot is taken for still, whatever the gait: 2 m/s² or 10 °/s.
 const STILL: f64 = 1.0;
 /// Time before and after a sample that has a stance, s: half the step of a slow walker.
@@ -33,23 +29,23 @@ const ROLLING: f64 = 0.1;
 ///
 /// A stance is a run of samples below the upper threshold with a sample below the lower one. The constants were chosen on
 /// the pyshoe recordings (score_navigation).
-pub fn stances<R: RealField + Copy>(statistic: &[R], rate_hz: f64, velocity_mps: &mut [Option<R>]) {
+pub fn stances(statistic: &[f64], rate_hz: f64, velocity_mps: &mut [Option<f64>]) {
     let [step, slow_step] = [STEP_S, SLOW_STEP_S].map(|time_s| (time_s * rate_hz) as usize);
     let least = |range: Range<usize>| {
         let within = statistic.get(range).unwrap_or(&[]);
-        within.iter().fold(real(f64::MAX), |least: R, t| least.min(*t))
+        within.iter().fold(f64::MAX, |least: f64, t| least.min(*t))
     };
     let end = statistic.len().min(velocity_mps.len());
     let around =
         |k: usize, width: usize| k.saturating_sub(width)..(k + width + 1).min(statistic.len());
     let is_below_upper = |k: usize| {
-        let upper = real::<R>(STILL).max(least(around(k, step)) * real(UPPER));
+        let upper = STILL.max(least(around(k, step)) * UPPER);
         statistic[k] < upper
     };
     let is_below_lower = |k: usize| {
         let around = around(k, slow_step);
         let both = least(around.start..k + 1).max(least(k..around.end));
-        statistic[k] <= both * real(LOWER)
+        statistic[k] <= both * LOWER
     };
     let mut k = 0;
     while k < end {
@@ -60,8 +56,8 @@ pub fn stances<R: RealField + Copy>(statistic: &[R], rate_hz: f64, velocity_mps:
             k += 1;
         }
         for j in begin..k {
-            let rolling = (statistic[j] / real(ROLLING)).max(R::one());
-            velocity_mps[j] = trusted.then(|| rolling.sqrt() * real(VELOCITY_MPS));
+            let rolling = (statistic[j] / ROLLING).max(1.0);
+            velocity_mps[j] = trusted.then(|| libm::sqrt(rolling) * VELOCITY_MPS);
         }
         if k < end {
             velocity_mps[k] = None;

@@ -1,8 +1,9 @@
 //! State of the filter: an attitude on SO(3) and named blocks of a vector, each estimated or considered. Equation (112).
 
-use core::fmt;
+use alloc::vec;
+use alloc::vec::Vec;
 
-use nalgebra::{RealField, Rotation3, SMatrix, SVector};
+use nalgebra::{DVector, Rotation3, SVector, Vector3};
 
 /// What the filter does with the states of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,131 +48,91 @@ pub(crate) const HEADING: Block<1> = ATTITUDE.part::<1, 2>();
 pub const VELOCITY: Block<3> = Block(3);
 /// Position, m, navigation frame.
 pub const POSITION: Block<3> = Block(6);
-const CORE: usize = 9;
 
-/// More states were claimed than the filter has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LayoutFull {
-    /// States that are needed.
-    pub needed: usize,
-    /// States of the filter.
-    pub states: usize,
-}
-
-impl fmt::Display for LayoutFull {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { needed, states } = self;
-        write!(f, "the blocks need {needed} states, and the filter has {states}")
-    }
-}
-
-impl core::error::Error for LayoutFull {}
-
-/// The blocks of a filter with `N` states, with their initial standard deviations. Attitude, velocity and position are
-/// in every layout; processes and sensors claim more.
+/// The blocks of a filter, with their initial standard deviations. Attitude, velocity and position are in every layout;
+/// processes and sensors claim more.
 #[derive(Clone, Debug)]
-pub struct Layout<R, const N: usize> {
-    pub(crate) deviation: SVector<R, N>,
-    pub(crate) considered: [bool; N],
-    pub(crate) used: usize,
+pub struct Layout {
+    pub(crate) deviation: Vec<f64>,
+    pub(crate) considered: Vec<bool>,
 }
 
-impl<R: RealField + Copy, const N: usize> Layout<R, N> {
+impl Layout {
     /// Attitude, velocity and position with their initial standard deviations, rad, m/s, m.
-    pub fn new(attitude: [R; 3], velocity: R, position: R) -> Self {
-        const { assert!(N >= CORE, "attitude, velocity and position need nine states") };
-        let mut layout = Self { deviation: SVector::zeros(), considered: [false; N], used: CORE };
-        for axis in 0..3 {
-            layout.deviation[ATTITUDE.0 + axis] = attitude[axis];
-            layout.deviation[VELOCITY.0 + axis] = velocity;
-            layout.deviation[POSITION.0 + axis] = position;
-        }
-        layout
+    pub fn new([east, north, up]: [f64; 3], velocity: f64, position: f64) -> Self {
+        let (v, p) = (velocity, position);
+        Self { deviation: vec![east, north, up, v, v, v, p, p, p], considered: vec![false; 9] }
     }
 
     /// Claims the next states, with their initial standard deviations.
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
-    pub fn claim<const W: usize>(
+    pub fn claim<const W: usize>(&mut self, role: Role, deviation: [f64; W]) -> Block<W> {
+        let block = Block(self.len());
+        self.deviation.extend(deviation);
+        self.considered.resize(self.deviation.len(), role == Role::Considered);
+        block
+    }
+
+    /// Claims states, unless all of them are known: with a standard deviation of zero.
+    pub fn claim_unknown<const W: usize>(
         &mut self,
         role: Role,
-        deviation: [R; W],
-    ) -> Result<Block<W>, LayoutFull> {
-        let start = self.used;
-        let needed = start + W;
-        if needed > N {
-            return Err(LayoutFull { needed, states: N });
-        }
-        for (k, deviation) in deviation.into_iter().enumerate() {
-            self.deviation[start + k] = deviation;
-            self.considered[start + k] = role == Role::Considered;
-        }
-        self.used = needed;
-        Ok(Block(start))
+        deviation: [f64; W],
+    ) -> Option<Block<W>> {
+        deviation.iter().any(|d| *d > 0.0).then(|| self.claim(role, deviation))
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.deviation.len()
     }
 }
 
 /// Nominal state.
 #[derive(Clone, Debug)]
-pub struct State<R, const N: usize> {
+pub struct State {
     /// Body to navigation frame.
-    pub attitude: Rotation3<R>,
+    pub attitude: Rotation3<f64>,
     /// All other blocks. The three numbers of [`ATTITUDE`] stay zero.
-    pub vector: SVector<R, N>,
+    pub vector: DVector<f64>,
 }
 
-impl<R: RealField + Copy, const N: usize> State<R, N> {
+impl State {
     /// Values of a block.
-    pub fn get<const W: usize>(&self, block: Block<W>) -> SVector<R, W> {
+    pub fn get<const W: usize>(&self, block: Block<W>) -> SVector<f64, W> {
         self.vector.fixed_rows::<W>(block.0).into_owned()
     }
 
+    /// The value of a state, zero without one.
+    pub fn value(&self, block: Option<Block<1>>) -> f64 {
+        block.map_or(0.0, |block| self.get(block).x)
+    }
+
     /// Replaces the values of a block.
-    pub fn set<const W: usize>(&mut self, block: Block<W>, values: SVector<R, W>) {
+    pub fn set<const W: usize>(&mut self, block: Block<W>, values: SVector<f64, W>) {
         self.vector.fixed_rows_mut::<W>(block.0).copy_from(&values);
     }
 
     /// Adds an error: the attitude is rotated, all other blocks are sums.
-    pub(crate) fn correct(&mut self, mut error: SVector<R, N>) {
+    pub(crate) fn correct(&mut self, mut error: DVector<f64>) {
         let rotation = error.fixed_rows::<3>(ATTITUDE.0).into_owned();
-        error.fixed_rows_mut::<3>(ATTITUDE.0).fill(R::zero());
+        error.fixed_rows_mut::<3>(ATTITUDE.0).fill(0.0);
         self.attitude = Rotation3::new(rotation) * self.attitude;
         self.vector += error;
     }
 
-    /// The error that makes this state the other one.
-    pub(crate) fn difference(&self, other: &Self) -> SVector<R, N> {
-        let mut difference = other.vector - self.vector;
-        let rotation = (other.attitude * self.attitude.transpose()).scaled_axis();
-        difference.fixed_rows_mut::<3>(ATTITUDE.0).copy_from(&rotation);
-        difference
+    /// The error that makes this state the other one: the rotation vector between the attitudes, and differences.
+    pub(crate) fn difference(&self, other: &Self) -> DVector<f64> {
+        let m = other.attitude * self.attitude.inverse();
+        let axis =
+            Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]);
+        // 2 sin and 2 cos of the angle. `Rotation3::scaled_axis` has half the digits for small angles.
+        let (sine, cosine) = (axis.norm(), m.matrix().trace() - 1.0);
+        let factor = if sine > 1e-6 { libm::atan2(sine, cosine) / sine } else { 0.5 };
+        let mut error = &other.vector - &self.vector;
+        error.fixed_rows_mut::<3>(ATTITUDE.0).copy_from(&(axis * factor));
+        error
     }
 
     pub(crate) fn is_finite(&self) -> bool {
         self.attitude.matrix().iter().chain(&self.vector).all(|x| x.is_finite())
-    }
-}
-
-/// Derivative of `M` measured values with respect to the error state.
-#[derive(Clone, Debug)]
-pub struct Jacobian<R, const M: usize, const N: usize>(pub(crate) SMatrix<R, M, N>);
-
-impl<R: RealField + Copy, const M: usize, const N: usize> Jacobian<R, M, N> {
-    /// No dependence on any state.
-    pub fn zeros() -> Self {
-        Self(SMatrix::zeros())
-    }
-
-    /// The same, with the derivative with respect to a block.
-    #[must_use]
-    pub fn with<const W: usize>(mut self, block: Block<W>, derivative: SMatrix<R, M, W>) -> Self {
-        self.0.fixed_columns_mut::<W>(block.0).copy_from(&derivative);
-        self
-    }
-
-    /// The derivative with respect to a block.
-    pub fn get<const W: usize>(&self, block: Block<W>) -> SMatrix<R, M, W> {
-        self.0.fixed_columns::<W>(block.0).into_owned()
     }
 }

@@ -4,7 +4,6 @@ use crate::common;
 
 use common::{Random, dot, minus, norm, outputs};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use wimu_nav::Real;
 use wimu_nav::array::{
     ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Geometry, GeometryError, Triad,
 };
@@ -119,7 +118,7 @@ fn run(seed: u64) -> [f64; 5] {
     let mut body = Body::new(&mut random, 0.04, 2.0);
     let geometry = board();
     let bias: [f64; 24] = std::array::from_fn(|_| BIAS * random.normal());
-    let mut filter = ArrayFilter::<f64, 24>::new(geometry, config(true)).unwrap();
+    let mut filter = ArrayFilter::<24>::new(geometry, config(true)).unwrap();
     // Heading and the level it was aligned with: the navigation axes begin as the filter says.
     let mut turn = Rotation3::identity();
     let mut origin = [0.0; 3];
@@ -205,10 +204,10 @@ fn errors_lie_within_the_covariance_of_every_part() {
 }
 
 /// Pushes `count` samples of a body that does not move.
-fn hold<R: Real>(filter: &mut ArrayFilter<R, 24>, random: &mut Random, count: usize) {
+fn hold(filter: &mut ArrayFilter<24>, random: &mut Random, count: usize) {
     let still = outputs(&board(), [0.0; 3], [0.0; 3], [0.0, 0.0, G]);
     for _ in 0..count {
-        let y = still.map(|v| nalgebra::convert(v + NOISE * random.normal()));
+        let y = still.map(|v| v + NOISE * random.normal());
         filter.push(DT, &y).unwrap();
     }
 }
@@ -220,7 +219,7 @@ fn rate_sd(state: &ArrayState<f64>) -> f64 {
 #[test]
 fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
     let mut random = Random::new(3);
-    let mut filter = ArrayFilter::<f64, 24>::new(board(), config(false)).unwrap();
+    let mut filter = ArrayFilter::<24>::new(board(), config(false)).unwrap();
     hold(&mut filter, &mut random, 100);
     let early = rate_sd(&filter.state());
     assert!(early < 0.1, "the rest at the start is part of the alignment: {early}");
@@ -248,9 +247,9 @@ fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
 #[test]
 fn a_start_in_a_turn_is_ambiguous_until_the_turn_changes() {
     let mut random = Random::new(5);
-    let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
+    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
     let rate = [6.0, -3.0, 4.0];
-    let mut push = |filter: &mut ArrayFilter<f64, 24>, rate: [f64; 3], turn: [f64; 3]| {
+    let mut push = |filter: &mut ArrayFilter<24>, rate: [f64; 3], turn: [f64; 3]| {
         let y = outputs(&board(), rate, turn, [1.0, 2.0, G]);
         let y = y.map(|v| v + NOISE * random.normal());
         filter.push(DT, &y).unwrap();
@@ -286,7 +285,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
     let places = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
     let triads = places.map(|[x, y]| Triad::aligned([x * 0.02, y * 0.02, 0.0], NOISE));
     let flat = Geometry::<12>::from_triads(&triads).unwrap();
-    let mut filter = ArrayFilter::<f64, 12>::new(flat, config(true)).unwrap();
+    let mut filter = ArrayFilter::<12>::new(flat, config(true)).unwrap();
     let mut random = Random::new(7);
     let rate = [6.0, -3.0, 5.0];
     let mut most = 0;
@@ -305,28 +304,9 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
 }
 
 #[test]
-fn single_precision_follows_double() {
-    let mut random = Random::new(11);
-    let mut body = Body::new(&mut random, 0.04, 2.0);
-    let mut fine = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
-    let mut coarse = ArrayFilter::<f32, 24>::new(board(), config(true)).unwrap();
-    for _ in 0..300 {
-        let y = body.outputs(&board(), &mut random, &[0.0; 24]);
-        fine.push(DT, &y).unwrap();
-        coarse.push(DT, &y.map(|v| v as f32)).unwrap();
-        body.step();
-    }
-    let (a, b) = (fine.state(), coarse.state());
-    let apart = norm(minus(a.position_m, b.position_m.map(f64::from)));
-    assert!(apart < 0.1 * a.position_sd_m() + 0.01, "{apart} m");
-    let apart = norm(minus(a.rate_rad_s, b.rate_rad_s.map(f64::from)));
-    assert!(apart < 0.2 * rate_sd(&a) + 0.01, "{apart} rad/s");
-}
-
-#[test]
 fn bad_input_is_said_and_survived() {
     let mut random = Random::new(13);
-    let mut filter = ArrayFilter::<f64, 24>::new(board(), config(true)).unwrap();
+    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
     hold(&mut filter, &mut random, 100);
     assert!(filter.state().valid && filter.state().resting);
     let still = outputs(&board(), [0.0; 3], [0.0; 3], [0.0, 0.0, G]);
@@ -369,17 +349,13 @@ fn bad_input_is_said_and_survived() {
 #[test]
 fn no_sample_makes_it_panic_or_forget_its_numbers() {
     let mut random = Random::new(17);
-    let mut filter = ArrayFilter::<f32, 24>::new(board(), config(true)).unwrap();
+    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
     for k in 0..3000 {
         let size = [1.0, 100.0, 1e20, f64::NAN][(random.uniform() * 4.0) as usize % 4];
         let kind = random.uniform();
-        let y: [f32; 24] = std::array::from_fn(|i| {
+        let y: [f64; 24] = std::array::from_fn(|i| {
             let value = if i % 3 == 2 { G } else { 0.0 };
-            if kind < 0.7 {
-                (value + random.normal()) as f32
-            } else {
-                (random.normal() * size) as f32
-            }
+            if kind < 0.7 { value + random.normal() } else { random.normal() * size }
         });
         let step = if random.uniform() < 0.05 { random.normal() } else { DT };
         let _ = filter.push(step, &y);
@@ -393,7 +369,7 @@ fn no_sample_makes_it_panic_or_forget_its_numbers() {
 fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
     let mut random = Random::new(21);
     let settings = ArrayConfig { rests: Rests::ConstantVelocity, ..config(true) };
-    let mut filter = ArrayFilter::<f64, 24>::new(board(), settings).unwrap();
+    let mut filter = ArrayFilter::<24>::new(board(), settings).unwrap();
     hold(&mut filter, &mut random, 150);
     let start = filter.state().position_m;
     // To 2 m/s within half a second, and on for one.
@@ -415,8 +391,7 @@ fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
 fn when_a_sample_was_taken_and_how_it_fits_is_in_the_covariance() {
     let late = ArrayConfig { time_sd_s: 2e-3, ..config(true) };
     let exact = ArrayConfig { time_sd_s: 0.0, ..config(true) };
-    let [mut late, mut exact] =
-        [late, exact].map(|c| ArrayFilter::<f64, 24>::new(board(), c).unwrap());
+    let [mut late, mut exact] = [late, exact].map(|c| ArrayFilter::<24>::new(board(), c).unwrap());
     let mut random = Random::new(22);
     let mut push = |rate: [f64; 3], turn: [f64; 3], force: [f64; 3]| {
         let clean = outputs(&board(), rate, turn, force);

@@ -4,7 +4,7 @@ use nalgebra::{Matrix1, Rotation3, Vector1};
 use wimu_nav::filter::Filter;
 use wimu_nav::mixture::Mixture;
 use wimu_nav::sensor::{Measurement, Prediction};
-use wimu_nav::state::{Block, Jacobian, Layout, Role};
+use wimu_nav::state::{Block, Layout, Role};
 
 /// x² = value, linearised at a root.
 struct Square {
@@ -13,27 +13,27 @@ struct Square {
     at: f64,
 }
 
-impl Measurement<f64, 10, 1> for Square {
-    fn predict(&self, filter: &Filter<f64, 10>) -> Prediction<f64, 10, 1> {
+impl Measurement for Square {
+    fn predict(&self, filter: &Filter) -> Prediction {
         let x = filter.state.get(self.block).x;
         let slope = 2.0 * self.at;
-        Prediction {
-            innovation: Vector1::new(self.value - self.at * self.at - slope * (x - self.at)),
-            jacobian: Jacobian::zeros().with(self.block, Matrix1::new(slope)),
-            covariance: Matrix1::new(0.01),
-        }
+        Prediction::new(
+            Vector1::new(self.value - self.at * self.at - slope * (x - self.at)),
+            Matrix1::new(0.01),
+        )
+        .by(self.block, Matrix1::new(slope))
     }
 }
 
-fn start(mean: f64) -> (Mixture<f64, 10, 2>, Block<1>) {
+fn start(mean: f64) -> (Mixture<2>, Block<1>) {
     let mut layout = Layout::new([0.1; 3], 0.1, 0.1);
-    let block = layout.claim(Role::Estimated, [5.0]).unwrap();
+    let block = layout.claim(Role::Estimated, [5.0]);
     let mut filter = Filter::new(&layout, Rotation3::identity());
     filter.state.set(block, Vector1::new(mean));
     (Mixture::new(filter), block)
 }
 
-fn observe(mixture: &mut Mixture<f64, 10, 2>, block: Block<1>, value: f64) {
+fn observe(mixture: &mut Mixture<2>, block: Block<1>, value: f64) {
     mixture.update(10.0, f64::INFINITY, |_, put| {
         for sign in [1.0, -1.0] {
             put(Square { block, value, at: sign * value.sqrt() });
@@ -84,5 +84,5 @@ fn a_measurement_that_fits_no_hypothesis_changes_nothing() {
         mixture.update(10.0, 50.0, |_, put| put(Square { block, value: 1e4, at: 100.0 }));
     assert!(!innovation.unwrap().accepted);
     assert_eq!(mixture.components()[0].filter.state.get(block), before);
-    assert!(mixture.update::<1, Square>(10.0, 50.0, |_, _| ()).is_none());
+    assert!(mixture.update::<Square>(10.0, 50.0, |_, _| ()).is_none());
 }

@@ -3,17 +3,14 @@
 use crate::common;
 
 use common::Random;
-use common::navigated::{Navigated, Point, deviation, navigate};
+use common::navigated::{Navigated, Point, deviation, navigate, without_gyroscope};
 use common::travel::{Errors, Travel};
 use nalgebra::Vector3;
 use wimu_nav::filter::Gate;
-use wimu_nav::navigator::{
-    Gyroscope, Navigator, Profile, Rests, Sample, SampleFault, Settings, Start, WithGyroscope,
-    WithoutGyroscope,
-};
+use wimu_nav::navigator::{Navigator, Profile, Rests, Sample, SampleFault, Settings, Start};
 use wimu_nav::process::ImuErrors;
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, Heading, Position, Range, RangeErrors};
-use wimu_nav::state::{ATTITUDE, POSITION, Role};
+use wimu_nav::state::{ATTITUDE, POSITION};
 use wimu_testkit::{Coverage, assert_median_can_be, draws};
 
 /// Errors within those that the navigator assumes, with biases below those that hide rests from the detector: 0.05 rad/s
@@ -102,7 +99,7 @@ fn a_better_calibration_gives_a_smaller_deviation_of_the_position() {
     let mut before = f64::INFINITY;
     let mut deviations = Vec::new();
     for scale in [4.0, 1.0, 0.25] {
-        let mut settings = Settings::<f64>::default();
+        let mut settings = Settings::default();
         settings.errors.accelerometer_bias = 0.02;
         settings.errors.accelerometer_matrix = [0.005 * scale, 0.003 * scale];
         let errors = Errors::drawn(&settings.errors, &mut random);
@@ -200,7 +197,7 @@ fn a_foot_s_stance_is_never_gated_and_a_hand_s_rest_is_until_it_is_certain() {
     let shock = Sample { force_mps2: Vector3::new(100.0, 0.0, 9.8), ..still(0.005) };
     let speed = |profile, rest_s: f64| {
         let settings = Settings::of(profile);
-        let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
+        let mut navigator = Navigator::new(settings, &start);
         for k in 0..1000 {
             navigator.push(&still(0.005), k < 500).unwrap();
         }
@@ -233,7 +230,7 @@ fn a_rest_of_one_sample_tells_no_angular_rate() {
     let start = Start::align(&[still(0.0); 10], false).unwrap();
     let turning = Sample { rate_rad_s: Some(Vector3::new(0.0, 0.0, 0.04)), ..still(0.01) };
     let rate = |rest: usize| {
-        let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+        let mut navigator = Navigator::new(Settings::default(), &start);
         for k in 0..1000 {
             navigator.push(&turning, k >= 1000 - rest).unwrap();
         }
@@ -247,7 +244,7 @@ fn a_rest_of_one_sample_tells_no_angular_rate() {
 fn each_profile_bounds_the_speed_as_it_says() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
     let sd = |profile| {
-        let mut navigator = WithGyroscope::<f64>::new(Settings::of(profile), &start).unwrap();
+        let mut navigator = Navigator::new(Settings::of(profile), &start);
         for _ in 0..6000 {
             navigator.push(&still(0.01), false).unwrap();
         }
@@ -256,7 +253,7 @@ fn each_profile_bounds_the_speed_as_it_says() {
         assert!(navigator.is_at_rest());
         navigator.push(&still(0.01), false).unwrap();
         assert!(!navigator.is_at_rest());
-        let mut free = WithGyroscope::<f64>::new(Settings::of(profile), &start).unwrap();
+        let mut free = Navigator::new(Settings::of(profile), &start);
         for _ in 0..6000 {
             free.push(&still(0.01), false).unwrap();
         }
@@ -273,7 +270,7 @@ fn each_profile_bounds_the_speed_as_it_says() {
 #[test]
 fn an_origin_is_where_the_unit_is_with_the_heading_that_it_has() {
     let start = Start::align(&[still(0.0); 10], false).unwrap();
-    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     for _ in 0..300 {
         navigator.push(&still(0.01), false).unwrap();
     }
@@ -313,7 +310,7 @@ fn a_gap_widens_the_deviation_and_the_next_rest_finds_the_velocity() {
 #[test]
 fn a_long_step_is_a_gap() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let mut stepped = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut stepped = Navigator::new(Settings::default(), &start);
     let mut interrupted = stepped.clone();
     let long = Sample { step_s: 0.5, ..still(0.0) };
     stepped.push(&long, true).unwrap();
@@ -325,7 +322,7 @@ fn a_long_step_is_a_gap() {
 #[test]
 fn a_gap_without_a_gyroscope_includes_the_samples_of_an_unfinished_step() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let new = || WithoutGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let new = || Navigator::new(without_gyroscope(), &start);
     // Steps of the model have 20 ms.
     let (mut unfinished, mut whole) = (new(), new());
     unfinished.push(&still(0.008), true).unwrap();
@@ -337,10 +334,10 @@ fn a_gap_without_a_gyroscope_includes_the_samples_of_an_unfinished_step() {
 #[test]
 fn an_ignored_rest_is_any_motion_of_a_hand() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let mut settings = Settings::<f64>::default();
+    let mut settings = Settings::default();
     settings.rests = Rests::Ignored;
     let [found, expected] = [true, false].map(|at_rest| {
-        let mut navigator = WithGyroscope::<f64>::new(settings, &start).unwrap();
+        let mut navigator = Navigator::new(settings, &start);
         for _ in 0..2000 {
             navigator.push(&still(0.01), at_rest).unwrap();
         }
@@ -366,11 +363,11 @@ fn an_alignment_leaves_out_numbers_that_are_not_finite() {
     assert!((found.force_mps2 - wimu_nav::GRAVITY_MPS2).abs() < 1e-12);
     let huge = Sample { force_mps2: bad.map(|_| f64::MAX), ..good };
     for none in [&[][..], &[no_force], &[huge, huge]] {
-        assert!(Start::<f64>::align(none, true).is_none());
+        assert!(Start::align(none, true).is_none());
     }
 }
 
-fn still(step_s: f64) -> Sample<f64> {
+fn still(step_s: f64) -> Sample {
     Sample {
         step_s,
         force_mps2: Vector3::new(0.0, 0.0, wimu_nav::GRAVITY_MPS2),
@@ -382,8 +379,8 @@ fn still(step_s: f64) -> Sample<f64> {
 #[test]
 fn a_sample_that_is_not_finite_is_a_fault_and_no_state_is_spoilt() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
-    let mut with = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
-    let mut without = WithoutGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut with = Navigator::new(Settings::default(), &start);
+    let mut without = Navigator::new(without_gyroscope(), &start);
     let bad = Vector3::new(0.0, f64::NAN, 0.0);
     let faults = [
         (Sample { force_mps2: bad, ..still(0.01) }, SampleFault::NotFinite),
@@ -409,17 +406,14 @@ fn a_sample_that_is_not_finite_is_a_fault_and_no_state_is_spoilt() {
     assert_eq!((with.divergences(), without.divergences()), (0, 0));
     assert!(SampleFault::NoTime.to_string().contains("time"));
     assert!(SampleFault::NotFinite.to_string().contains("finite"));
-    assert!(
-        Start::<f64>::align(&[Sample { force_mps2: Vector3::zeros(), ..still(0.0) }], true)
-            .is_none()
-    );
+    assert!(Start::align(&[Sample { force_mps2: Vector3::zeros(), ..still(0.0) }], true).is_none());
 }
 
 #[test]
 fn an_attitude_that_was_kicked_recovers_at_the_next_rest() {
     for seed in 0..10 {
         let mut random = Random::new(seed + 36);
-        let mut settings = Settings::<f64>::default();
+        let mut settings = Settings::default();
         settings.errors.accelerometer_bias = 0.02;
         let errors = Errors::drawn(&settings.errors, &mut random);
         // Two degrees of tilt within 50 ms that the gyroscope reports and no unit makes, at the start of a long move.
@@ -449,7 +443,7 @@ fn an_attitude_that_was_kicked_recovers_at_the_next_rest() {
 #[test]
 fn an_impossible_speed_is_a_divergence_and_the_navigator_begins_again() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
-    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     let fast = Sample { force_mps2: Vector3::new(2000.0, 0.0, 9.8), ..still(0.01) };
     let mut pushes = 0;
     while navigator.divergences() == 0 {
@@ -520,7 +514,7 @@ fn a_pose_from_outside_rotates_all_that_is_known() {
     }
     let start = Start::align(&samples[..50], true).unwrap();
     let run = |heading: f64| {
-        let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+        let mut navigator = Navigator::new(Settings::default(), &start);
         navigator.set_heading(heading);
         for (k, sample) in samples.iter().enumerate() {
             if k == 700 {
@@ -545,7 +539,7 @@ fn a_pose_from_outside_rotates_all_that_is_known() {
 #[test]
 fn a_position_from_outside_finds_a_lost_unit() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
-    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     navigator.interrupt(2.0);
     assert!(deviation(&navigator.solution().position_covariance) > 10.0);
     let fix = Position {
@@ -565,7 +559,7 @@ fn a_position_from_outside_finds_a_lost_unit() {
 #[test]
 fn a_height_alone_leaves_the_horizontal_position() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
-    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     navigator.interrupt(2.0);
     let before = navigator.solution();
     let height = Position {
@@ -586,7 +580,7 @@ fn a_height_alone_leaves_the_horizontal_position() {
 #[test]
 fn a_heading_from_outside_rotates_the_unit_the_short_way() {
     let start = Start::align(&[still(0.01); 10], true).unwrap();
-    let mut navigator = WithGyroscope::<f64>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     let zero = Vector3::zeros();
     navigator.set_pose(zero, zero, 3.0, [1.0, 1.0, 0.5]);
     let heading = Heading { heading_rad: -3.0, deviation_rad: 0.01 };
@@ -619,78 +613,16 @@ fn covariances_are_symmetric_and_no_variance_is_negative() {
     }
 }
 
-/// Both precisions over a minute of stops and moves: largest difference of position, m, and relative of its deviation.
-fn compare<const N: usize, W, S>(samples: &[Sample<f64>], rests: &[bool]) -> [f64; 3]
-where
-    W: wimu_nav::navigator::Model<f64, N>,
-    S: wimu_nav::navigator::Model<f32, N>,
-{
-    use wimu_nav::navigator::Navigator;
-    let narrow: Vec<Sample<f32>> = samples
-        .iter()
-        .map(|s| Sample {
-            step_s: s.step_s as f32,
-            force_mps2: s.force_mps2.cast(),
-            rate_rad_s: s.rate_rad_s.map(|v| v.cast()),
-            field_ut: s.field_ut.map(|v| v.cast()),
-        })
-        .collect();
-    let start = Start::align(&samples[..50], true).unwrap();
-    let mut wide = Navigator::<f64, W, N>::new(Settings::default(), &start).unwrap();
-    let start = Start::align(&narrow[..50], true).unwrap();
-    let mut single = Navigator::<f32, S, N>::new(Settings::default(), &start).unwrap();
-    let mut most = [0.0_f64; 3];
-    for ((sample, narrow), rest) in samples.iter().zip(&narrow).zip(rests) {
-        wide.push(sample, *rest).unwrap();
-        single.push(narrow, *rest).unwrap();
-        let (a, b) = (wide.solution(), single.solution());
-        for i in 0..3 {
-            most[0] = most[0].max((a.position_m[i] - f64::from(b.position_m[i])).abs());
-            let variances = [a.position_covariance[i][i], f64::from(b.position_covariance[i][i])];
-            let [x, y] = variances.map(f64::sqrt);
-            most[1] = most[1].max((x - y).abs() / x);
-            assert!(variances[1] >= 0.0);
-        }
-        let up = |q: [f64; 4]| q;
-        let b = b.quaternion.map(f64::from);
-        let dot: f64 = up(a.quaternion).iter().zip(b).map(|(x, y)| x * y).sum();
-        most[2] = most[2].max(2.0 * (1.0 - dot.abs()).max(0.0).sqrt());
-    }
-    assert_eq!(single.divergences() + wide.divergences(), 0);
-    assert!(single.filter().is_sound());
-    most
-}
-
-#[test]
-fn single_precision_agrees_over_a_minute() {
-    use wimu_nav::navigator::{Gyroscope, NoGyroscope};
-    let (mut random, errors) = drawn(39);
-    let travel = Travel::stop_and_go(&mut random, 15, 0.8, 0.8);
-    let samples = travel.samples(100.0, 60.0, &errors, &mut random);
-    let rests: Vec<bool> = (0..samples.len()).map(|k| travel.at_rest(k as f64 * 0.01)).collect();
-    let with = compare::<40, Gyroscope<f64>, Gyroscope<f32>>(&samples, &rests);
-    println!("with a gyroscope {with:?}");
-    assert!(with[0] < 0.02 && with[1] < 0.05 && with[2] < 0.01, "{with:?}");
-    let without = compare::<24, NoGyroscope<f64>, NoGyroscope<f32>>(&samples, &rests);
-    println!("without {without:?}");
-    assert!(without[0] < 0.05 && without[1] < 0.05 && without[2] < 0.02, "{without:?}");
-}
-
 #[test]
 fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let mut navigator =
-        Navigator::<f64, Gyroscope<f64>, 42>::new(Settings::default(), &start).unwrap();
+    let mut navigator = Navigator::new(Settings::default(), &start);
     let mut errors = RangeErrors::default();
     (errors.bias_m, errors.correlated_m) = (0.5, 0.05);
     let at = Vector3::new(5.0, 0.0, 0.0);
-    let anchor = navigator.claim(|layout| Anchor::claim(layout, at, &errors)).unwrap();
-    let full = navigator.claim(|layout| layout.claim(Role::Estimated, [1.0; 9]));
-    assert!(full.is_err());
+    let anchor = navigator.claim(|layout| Anchor::claim(layout, at, &errors));
     let bias = anchor.bias.unwrap();
-    let sd = |navigator: &Navigator<f64, Gyroscope<f64>, 42>| {
-        navigator.filter().covariance(bias).x.sqrt()
-    };
+    let sd = |navigator: &Navigator| navigator.filter().covariance(bias).x.sqrt();
     assert!((sd(&navigator) - 0.5).abs() < 1e-12);
     for _ in 0..500 {
         navigator.push(&still(0.01), true).unwrap();
@@ -701,6 +633,7 @@ fn a_sensor_s_own_states_are_estimated_and_begin_again_with_the_filter() {
             deviation_m: 0.03,
             lever_arm_m: Vector3::zeros(),
             delay: None,
+            age_s: 0.0,
         };
         navigator.update(&range, Gate::ChiSquare);
     }

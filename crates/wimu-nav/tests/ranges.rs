@@ -12,7 +12,6 @@ use wimu_nav::sensor::{Anchor, CorrelatedErrors, NonLineOfSight, Range, RangeErr
 use wimu_nav::state::{Layout, POSITION};
 use wimu_testkit::{Coverage, draws, rms_ratio_can_be};
 
-const N: usize = 33;
 const CORNERS: [[f64; 3]; 6] = [
     [0.0, 0.0, 0.0],
     [8.0, 0.0, 2.5],
@@ -29,8 +28,8 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
     let mixture = NonLineOfSight { probability: blocked, mean_m: 1.0 };
     let mut errors = RangeErrors::default();
     (errors.bias_m, errors.scale, errors.correlated_m) = (0.07, 0.01, 0.0);
-    let mut layout = Layout::<f64, N>::new([0.0; 3], 1.0, 0.01);
-    let anchors = CORNERS.map(|p| Anchor::claim(&mut layout, p.into(), &errors).unwrap());
+    let mut layout = Layout::new([0.0; 3], 1.0, 0.01);
+    let anchors = CORNERS.map(|p| Anchor::claim(&mut layout, p.into(), &errors));
     let truth = CORNERS.map(|_| [random.normal() * errors.bias_m, random.normal() * errors.scale]);
     let mut filter = Filter::new(&layout, Rotation3::identity());
     let path = |t: f64| {
@@ -57,6 +56,7 @@ fn run(seed: u64, blocked: f64) -> (f64, Vec<f64>, f64) {
                 deviation_m: errors.noise_m,
                 lever_arm_m: Vector3::zeros(),
                 delay: None,
+                age_s: 0.0,
             };
             let (weighted, _) = range.weighted(&filter, &mixture);
             filter.update(&weighted, Gate::Open);

@@ -8,11 +8,11 @@ use common::states::states;
 use common::travel::{Errors, Travel};
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 use wimu_nav::filter::{Filter, Gate};
-use wimu_nav::navigator::{Gyroscope, Model, Navigator, NoGyroscope, Settings, Start};
+use wimu_nav::navigator::{Motion, Navigator, Settings, Start};
 use wimu_nav::process::{Process, Transition};
 use wimu_nav::sensor::{Measurement, Prediction};
-use wimu_nav::smoother::{Epoch, Log, Recorder, Smoothed};
-use wimu_nav::state::{Block, Jacobian, Layout, POSITION, Role, State, VELOCITY};
+use wimu_nav::smoother::{Epoch, Log, Smoothed};
+use wimu_nav::state::{Block, Layout, POSITION, Role, State, VELOCITY};
 use wimu_testkit::{Coverage, Lane, assert_median_can_be, draws};
 
 /// Velocity and position of a body that is pushed by white noise, and a bias of the velocity sensor.
@@ -20,8 +20,8 @@ const STATES: usize = 12;
 const STEP_S: f64 = 0.1;
 
 struct Pushed;
-impl Process<f64, STATES> for Pushed {
-    fn propagate(&self, state: &mut State<f64, STATES>, transition: &mut Transition<f64, STATES>) {
+impl Process for Pushed {
+    fn propagate(&self, state: &mut State, transition: &mut Transition) {
         state.set(POSITION, state.get(POSITION) + state.get(VELOCITY) * STEP_S);
         transition.add(POSITION, VELOCITY, Matrix3::identity() * STEP_S);
         transition.add_noise(VELOCITY, 0.2 * STEP_S);
@@ -34,37 +34,31 @@ struct Shown {
     blocks: [Option<Block<3>>; 2],
     deviation: f64,
 }
-impl Measurement<f64, STATES, 3> for Shown {
-    fn predict(&self, filter: &Filter<f64, STATES>) -> Prediction<f64, STATES, 3> {
+impl Measurement for Shown {
+    fn predict(&self, filter: &Filter) -> Prediction {
         let blocks = || self.blocks.iter().flatten();
         let one = Matrix3::identity();
         let shown: Vector3<f64> = blocks().map(|block| filter.state.get(*block)).sum();
-        Prediction {
-            innovation: self.value - shown,
-            jacobian: blocks().fold(Jacobian::zeros(), |h, block| h.with(*block, one)),
-            covariance: one * self.deviation.powi(2),
-        }
+        let prediction = Prediction::new(self.value - shown, one * self.deviation.powi(2));
+        blocks().fold(prediction, |prediction, block| prediction.by(*block, one))
     }
 }
-
-type Epochs<const N: usize> = Vec<Epoch<f64, N>>;
 
 /// A journey of the body: the truth at each step, and what the filter and the log make of it.
 struct Journey {
     truth: Vec<SVector<f64, STATES>>,
     filtered: Vec<(SVector<f64, STATES>, SMatrix<f64, STATES, STATES>)>,
     measurements: Vec<Shown>,
-    epochs: Epochs<STATES>,
+    epochs: Vec<Epoch>,
     bias: Block<3>,
 }
 
 impl Journey {
     fn new(random: &mut Random, role: Role, steps: usize) -> Self {
         let mut layout = Layout::new([0.1; 3], 0.5, 1.0);
-        let bias = layout.claim(role, [0.3; 3]).unwrap();
+        let bias = layout.claim(role, [0.3; 3]);
         let mut filter = Filter::new(&layout, Rotation3::identity());
-        let mut log = Log::new(Vec::new(), 10.0);
-        log.restarted(&filter);
+        filter.record(Log::new(10.0));
         let mut truth = SVector::<f64, STATES>::zeros();
         for (block, deviation) in [(VELOCITY, 0.5), (POSITION, 1.0), (bias, 0.3)] {
             let drawn = Vector3::from(random.normals(deviation));
@@ -84,7 +78,7 @@ impl Journey {
             position += v * STEP_S;
             let mut velocity = truth.fixed_rows_mut::<3>(VELOCITY.start());
             velocity += Vector3::from(random.normals((0.2 * STEP_S).sqrt()));
-            filter.predict_recorded(&Pushed, &mut log);
+            filter.predict(&Pushed);
             let (blocks, deviation) = if k % 7 == 3 {
                 ([Some(POSITION), None], 0.2)
             } else {
@@ -97,14 +91,15 @@ impl Journey {
                 .sum();
             let value = shown + Vector3::from(random.normals(deviation));
             let shown = Shown { value, blocks, deviation };
-            filter.update_recorded(&shown, Gate::Open, &mut log);
-            log.updated(&filter, STEP_S);
+            filter.update(&shown, Gate::Open);
+            filter.end_step(STEP_S);
             let covariance = common::states::covariance(&filter, &all);
             journey.truth.push(truth);
-            journey.filtered.push((filter.state.vector, covariance));
+            let state = SVector::from_column_slice(filter.state.vector.as_slice());
+            journey.filtered.push((state, covariance));
             journey.measurements.push(shown);
         }
-        journey.epochs = log.into_epochs();
+        journey.epochs = std::mem::take(&mut filter.log_mut().unwrap().epochs);
         journey
     }
 }
@@ -182,13 +177,13 @@ fn without_considered_states_it_is_least_squares_over_the_whole_journey() {
     let smoothed = Smoothed::of(&mut journey.epochs);
     assert_eq!(smoothed.contradictions(), 0);
     for k in 0..20 {
-        let state = journey.filtered[k].0 + smoothed.corrections(k + 1)[1];
         for block in [VELOCITY, POSITION, journey.bias] {
             let at = STATES * (k + 1) + block.start();
             let exact = exact(at, at);
             let found = smoothed.covariance(k + 1, block);
             assert!((found - exact).norm() < 2e-3 * exact.norm(), "{k}: {found} {exact}");
-            let error = state.fixed_rows::<3>(block.start())
+            let filtered = journey.filtered[k].0.fixed_rows::<3>(block.start()).into_owned();
+            let error = filtered + smoothed.corrections(k + 1, block)[1]
                 - Vector3::from_column_slice(&expected[at..at + 3]);
             assert!(error.norm() < 0.01 * exact.norm().sqrt(), "{k}: {error}");
         }
@@ -212,8 +207,9 @@ fn a_considered_state_stays_and_the_covariance_is_right_and_never_larger_than_th
         let mut journey = Journey::new(&mut random, Role::Considered, 20);
         let smoothed = Smoothed::of(&mut journey.epochs);
         let error = |k: usize| -> Vector3<f64> {
-            let state = journey.filtered[k].0 + smoothed.corrections(k + 1)[1];
-            (state - journey.truth[k]).fixed_rows::<3>(POSITION.start()).into_owned()
+            let filtered = journey.filtered[k].0 - journey.truth[k];
+            let filtered = filtered.fixed_rows::<3>(POSITION.start()).into_owned();
+            filtered + smoothed.corrections(k + 1, POSITION)[1]
         };
         let nees = |e: Vector3<f64>, p: Matrix3<f64>| e.dot(&(p.try_inverse().unwrap() * e));
         for k in [0, 6, 12] {
@@ -226,8 +222,7 @@ fn a_considered_state_stays_and_the_covariance_is_right_and_never_larger_than_th
             smaller += found.trace();
             sum += p.trace();
             assert_eq!(smoothed.covariance(k + 1, journey.bias), Matrix3::identity() * 0.09);
-            let correction = smoothed.corrections(k + 1)[1];
-            assert_eq!(correction.fixed_rows::<3>(journey.bias.start()).norm(), 0.0);
+            assert_eq!(smoothed.corrections(k + 1, journey.bias)[1].norm(), 0.0);
         }
         let moved = smoothed.covariance_of_change(2, 11, POSITION).unwrap();
         change.count(nees(error(10) - error(1), moved) < 7.815);
@@ -245,21 +240,23 @@ struct Found {
     contradictions: usize,
 }
 
-fn journey<M: Model<f64, N>, const N: usize>(
+fn journey(
+    motion: Motion,
     travel: &Travel,
     times_s: [f64; 3],
     kick_s: [f64; 2],
     seed: u64,
 ) -> Found {
     let mut random = Random::new(seed * 7919 + 23);
-    let settings = Settings::default();
+    let mut settings = Settings::default();
+    settings.motion = motion;
     let errors = Errors::drawn(&settings.errors, &mut random);
     let mut samples = travel.samples(100.0, 12.0, &errors, &mut random);
     let start = Start::align(&samples[..ALIGNMENT], true).unwrap();
-    let mut navigator = Navigator::<f64, M, N>::new(settings, &start).unwrap();
+    let mut navigator = Navigator::new(settings, &start);
     let x = travel.attitude(0.0) * Vector3::x();
     navigator.set_heading(x.y.atan2(x.x));
-    let mut navigator = navigator.recorded(Log::new(Vec::new(), 0.1));
+    navigator.record(Log::new(0.1));
     let mut found = Found { filtered: Vec::new(), smoothed: Vec::new(), contradictions: 0 };
     let mut epochs_at = Vec::new();
     for (k, sample) in samples.iter_mut().enumerate() {
@@ -272,15 +269,14 @@ fn journey<M: Model<f64, N>, const N: usize>(
         if due {
             let error = navigator.filter().state.get(POSITION) - travel.position(t);
             found.filtered.push((error, navigator.filter().covariance(POSITION)));
-            epochs_at.push(navigator.recorder().epochs().len() - 1);
+            epochs_at.push(navigator.log_mut().unwrap().epochs.len() - 1);
         }
     }
-    let mut epochs = navigator.into_recorder().into_epochs();
+    let mut epochs = std::mem::take(&mut navigator.log_mut().unwrap().epochs);
     let smoothed = Smoothed::of(&mut epochs);
     for ((error, _), epoch) in found.filtered.iter().zip(epochs_at) {
         // The correction is that of an epoch of up to 0.1 s before.
-        let correction = smoothed.corrections(epoch)[1];
-        let correction = correction.fixed_rows::<3>(POSITION.start()).into_owned();
+        let correction = smoothed.corrections(epoch, POSITION)[1];
         found.smoothed.push((error + correction, smoothed.covariance(epoch, POSITION)));
     }
     found.contradictions = smoothed.contradictions();
@@ -299,7 +295,7 @@ fn with_a_gyroscope_a_smoothed_journey_is_better_and_consistent_from_both_sides(
     let no_kick = [0.0, 0.0];
     for seed in 0..draws(200, 9) as u64 {
         let travel = Travel::oscillation(&mut Random::new(seed), [4.0, 10.0], 0.06, 0.3);
-        let found = journey::<Gyroscope<f64>, 40>(&travel, [5.0, 7.0, 9.0], no_kick, seed);
+        let found = journey(Motion::Gyroscope, &travel, [5.0, 7.0, 9.0], no_kick, seed);
         for (k, point) in found.smoothed.iter().enumerate() {
             below.count(nees(point) < 7.815);
             all.push(nees(point));
@@ -321,7 +317,7 @@ fn without_a_gyroscope_a_smoothed_journey_is_no_worse_and_no_less_consistent() {
     let (mut filtered, mut smoothed) = (0.0, 0.0);
     for seed in 0..draws(200, 9) as u64 {
         let travel = Travel::oscillation(&mut Random::new(seed), [4.0, 10.0], 0.06, 0.3);
-        let found = journey::<NoGyroscope<f64>, 24>(&travel, [5.0, 7.0, 9.0], [0.0; 2], seed);
+        let found = journey(Motion::NoGyroscope, &travel, [5.0, 7.0, 9.0], [0.0; 2], seed);
         for (filter, smoother) in found.filtered.iter().zip(&found.smoothed) {
             before.count(nees(filter) < 7.815);
             after.count(nees(smoother) < 7.815);
@@ -339,7 +335,7 @@ fn without_a_gyroscope_a_smoothed_journey_is_no_worse_and_no_less_consistent() {
 fn an_error_that_the_model_excludes_does_not_reach_the_time_before_it() {
     // A pulse of the angular rate of 60° before a rest that contradicts it: the second move ends 8.25 s.
     let travel = Travel::stop_and_go(&mut Random::new(3), 2, 0.7, 0.7);
-    let found = journey::<Gyroscope<f64>, 40>(&travel, [4.8, 6.5, 11.9], [7.6, 8.6], 3);
+    let found = journey(Motion::Gyroscope, &travel, [4.8, 6.5, 11.9], [7.6, 8.6], 3);
     for (filter, smoother) in found.filtered.iter().zip(&found.smoothed).take(2) {
         assert!(smoother.0.norm() < 2.0 * filter.0.norm() + 0.02, "{filter:?} {smoother:?}");
         assert!(nees(smoother) < 16.3, "{}", nees(smoother));
@@ -349,12 +345,10 @@ fn an_error_that_the_model_excludes_does_not_reach_the_time_before_it() {
 #[test]
 fn garbage_stays_finite_and_is_counted() {
     let mut random = Random::new(8);
-    let mut filter =
-        Filter::new(&Layout::<f64, STATES>::new([0.1; 3], 0.5, 1.0), Rotation3::identity());
-    let mut log = Log::new(Vec::new(), 0.05);
-    log.restarted(&filter);
+    let mut filter = Filter::new(&Layout::new([0.1; 3], 0.5, 1.0), Rotation3::identity());
+    filter.record(Log::new(0.05));
     for k in 0..60 {
-        filter.predict_recorded(&Pushed, &mut log);
+        filter.predict(&Pushed);
         let size = match k {
             20 => 1e6,
             40 => f64::NAN,
@@ -362,15 +356,15 @@ fn garbage_stays_finite_and_is_counted() {
         };
         let value = Vector3::from(random.normals(1.0)) * size;
         let shown = Shown { value, blocks: [Some(VELOCITY), None], deviation: 0.1 };
-        filter.update_recorded(&shown, Gate::Open, &mut log);
-        log.updated(&filter, STEP_S);
+        filter.update(&shown, Gate::Open);
+        filter.end_step(STEP_S);
     }
-    let count = log.epochs().len();
-    let mut epochs = log.into_epochs();
+    let mut epochs = std::mem::take(&mut filter.log_mut().unwrap().epochs);
+    let count = epochs.len();
     let smoothed = Smoothed::of(&mut epochs);
     assert!(smoothed.contradictions() > 0);
     for epoch in 0..count {
-        let [before, after] = smoothed.corrections(epoch);
+        let [before, after] = smoothed.corrections(epoch, VELOCITY);
         assert!(before.iter().chain(&after).all(|x| x.is_finite()), "{epoch}");
         let p = smoothed.covariance(epoch, POSITION);
         assert!(p.iter().all(|x| x.is_finite()) && p.diagonal().min() >= 0.0, "{epoch}");
@@ -378,42 +372,4 @@ fn garbage_stays_finite_and_is_counted() {
     // Without epochs, and with one, there is nothing to do.
     assert_eq!(Smoothed::of(&mut epochs[..0]).contradictions(), 0);
     assert_eq!(Smoothed::of(&mut epochs[..1]).contradictions(), 0);
-}
-
-#[test]
-fn single_precision_agrees_with_double() {
-    fn run<R: nalgebra::RealField + Copy>() -> Vec<f64> {
-        let real = |x: f64| nalgebra::convert::<f64, R>(x);
-        let settings = Settings::<R>::default();
-        let travel = Travel::stop_and_go(&mut Random::new(4), 1, 0.7, 0.4);
-        let errors = Errors::noise(&Settings::<f64>::default().errors);
-        let samples = travel.samples(100.0, 7.0, &errors, &mut Random::new(9));
-        let samples: Vec<wimu_nav::navigator::Sample<R>> = samples
-            .iter()
-            .map(|s| wimu_nav::navigator::Sample {
-                step_s: real(s.step_s),
-                force_mps2: s.force_mps2.map(real),
-                rate_rad_s: s.rate_rad_s.map(|rate| rate.map(real)),
-                field_ut: None,
-            })
-            .collect();
-        let start = Start::align(&samples[..ALIGNMENT], true).unwrap();
-        let navigator = Navigator::<R, Gyroscope<R>, 40>::new(settings, &start).unwrap();
-        let mut navigator = navigator.recorded(Log::new(Vec::new(), real(0.1)));
-        for (k, sample) in samples.iter().enumerate() {
-            navigator.push(sample, travel.at_rest(k as f64 * 0.01)).unwrap();
-        }
-        let mut epochs = navigator.into_recorder().into_epochs();
-        let count = epochs.len();
-        let smoothed = Smoothed::of(&mut epochs);
-        let corrected = |k: usize| smoothed.corrections(k)[1].fixed_rows::<6>(3).into_owned();
-        let all = (0..count).flat_map(|k| corrected(k).iter().copied().collect::<Vec<R>>());
-        all.map(|x| nalgebra::try_convert::<R, f64>(x).unwrap()).collect()
-    }
-    let (single, double) = (run::<f32>(), run::<f64>());
-    assert_eq!(single.len(), double.len());
-    let largest = double.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-    for (a, b) in single.iter().zip(&double) {
-        assert!((a - b).abs() < 0.1 * largest, "{a} {b} {largest}");
-    }
 }

@@ -5,7 +5,7 @@ use crate::common;
 use common::Random;
 use common::drive::{ANTENNA_M, CLOCK_S, Moment, begin, drive, mounting, push};
 use nalgebra::Vector3;
-use wimu_nav::navigator::InVehicle;
+use wimu_nav::navigator::Navigator;
 use wimu_nav::state::POSITION;
 use wimu_testkit::Lane;
 
@@ -14,7 +14,7 @@ const LENGTH_S: f64 = 130.0;
 const OUTAGE_S: f64 = 100.0;
 const NEVER: f64 = f64::INFINITY;
 
-fn followed(drive: &[Moment], vehicle: bool, seed: u64) -> InVehicle<f64> {
+fn followed(drive: &[Moment], vehicle: bool, seed: u64) -> Navigator {
     let mut navigator = begin(drive, vehicle);
     let mut random = Random::new(seed);
     for k in 0..drive.len() {

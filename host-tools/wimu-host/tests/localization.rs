@@ -446,8 +446,10 @@ fn files_that_are_no_ranges_are_refused_with_what_is_missing() {
 
 #[test]
 fn too_many_anchors_are_refused() {
-    let many: Vec<[f64; 3]> =
-        (0..30).map(|k| [f64::from(k), f64::from(k * k % 7), f64::from(k % 3)]).collect();
-    let error = localize(&hall(9, &many).recording, &LocalizationChoice::default()).unwrap_err();
-    assert!(error.to_string().contains("too many anchors"), "{error}");
+    let anchor = |k: u32| format!("{k},{k},{}\n", k * k % 7);
+    let many = "Anchor,X (m),Y (m)\n".to_owned() + &(0..65).map(anchor).collect::<String>();
+    let (_folder, [ranges, anchors]) = files("Time (s),Anchor,Range (m)\n0,1,1\n", &many);
+    let error = RangeRecording::read(&ranges, &anchors).unwrap_err();
+    assert!(error.to_string().contains("65 anchors are too many"), "{error}");
+    assert_eq!(error.exit_code(), 3);
 }

@@ -11,17 +11,13 @@ use super::noise::{Level, Noise};
 use super::rest::RestTest;
 use super::solver::{ArraySolver, Linear, Roots};
 use super::state::{ArrayConfig, ArrayFault, ArrayState};
-use crate::Real;
 use crate::filter::Filter;
 use crate::mixture::Mixture;
 use crate::navigator::Rests;
 use crate::process::{ArrayForce, RigidArray, RigidArrayBlocks};
-use crate::rotation::real;
 use crate::sensor::{ArrayNoise, Prior, ReducedArray};
 use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, VELOCITY};
 
-/// Attitude, velocity, position (9), rotation (6), biases (12), lever arms (3), constant velocity at rests (3).
-const STATES: usize = 33;
 /// Hypotheses.
 const MOST: usize = 4;
 /// Hypotheses whose rotation differs by less than this many variances are merged.
@@ -55,16 +51,14 @@ impl Alignment {
 /// The filter of one array: angular rate and acceleration, attitude, velocity, position and biases, with a hypothesis for
 /// each root of the angular rate until the data decide.
 ///
-/// About 36 kB in f64 and 19 kB in f32, and as much on the stack: for a host or a large microcontroller.
-///
 /// ```
 /// use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
 ///
 /// let board = Geometry::eight_triads_board(0.02, 0.005, 0.01)?;
-/// let mut filter = ArrayFilter::<f32, 24>::new(board, ArrayConfig::default())?;
+/// let mut filter = ArrayFilter::<24>::new(board, ArrayConfig::default())?;
 /// // At rest, z up.
 /// for k in 0..200 {
-///     let noise = |axis: usize| 0.003 * ((7 * k + 5 * axis) % 11) as f32 - 0.015;
+///     let noise = |axis: usize| 0.003 * ((7 * k + 5 * axis) % 11) as f64 - 0.015;
 ///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise(axis) } else { noise(axis) });
 ///     filter.push(0.01, &sample).unwrap();
 /// }
@@ -73,19 +67,19 @@ impl Alignment {
 /// # Ok::<(), wimu_nav::array::GeometryError>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct ArrayFilter<R, const M: usize> {
+pub struct ArrayFilter<const M: usize> {
     config: ArrayConfig,
-    array: Array<R, M>,
+    array: Array<f64, M>,
     blocks: RigidArrayBlocks,
     hidden: Block<3>,
-    layout: Layout<R, STATES>,
-    mixture: Option<Mixture<R, STATES, MOST>>,
+    layout: Layout,
+    mixture: Option<Mixture<MOST>>,
     level: Level<M>,
     rest_test: RestTest,
     align: Alignment,
     dropped: Dropped,
     /// The sample before and the variance of its specific force, for the first half of a step.
-    last: Option<(Linear<R>, Noise)>,
+    last: Option<(Linear<f64>, Noise)>,
     /// Low-passed direction of the specific force: the effect of scale factors changes with it.
     direction: Vector3<f64>,
     /// Times since the last rest, the last velocity update, and since updates of a rest fail, s.
@@ -104,24 +98,22 @@ pub struct ArrayFilter<R, const M: usize> {
     surprise: f64,
 }
 
-impl<R: Real, const M: usize> ArrayFilter<R, M> {
+impl<const M: usize> ArrayFilter<M> {
     /// A filter without samples.
     ///
     /// # Errors
     /// As [`Array::new`].
     pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
-        let array = Array::<R, M>::new(geometry, real(config.range_mps2))?;
-        let mut layout = Layout::new([R::zero(); 3], R::zero(), R::zero());
+        let array = Array::<f64, M>::new(geometry, config.range_mps2)?;
+        let mut layout = Layout::new([0.0; 3], 0.0, 0.0);
         let solver = array.solver();
         let lever = solver.rate_error(config.place_sd_m);
-        let full = |_| GeometryError::TooFew { have: 0, need: 6 };
-        let blocks = RigidArrayBlocks::claim(&mut layout, START_ROTATION.map(real), real(lever))
-            .map_err(full)?;
+        let blocks = RigidArrayBlocks::claim(&mut layout, START_ROTATION, lever);
         let hidden = match config.rests {
             Rests::ConstantVelocity => HIDDEN_VELOCITY,
             _ => 0.0,
         };
-        let hidden = layout.claim(Role::Considered, [real(hidden); 3]).map_err(full)?;
+        let hidden = layout.claim(Role::Considered, [hidden; 3]);
         Ok(Self {
             rest_test: RestTest::new(&config, solver),
             config,
@@ -151,7 +143,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// The solver of the sensors that are in use now.
-    pub fn solver(&self) -> &ArraySolver<R, M> {
+    pub fn solver(&self) -> &ArraySolver<f64, M> {
         self.array.solver()
     }
 
@@ -166,7 +158,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     ///
     /// # Errors
     /// [`ArrayFault`].
-    pub fn push(&mut self, step_s: f64, output_mps2: &[R; M]) -> Result<Dropped, ArrayFault> {
+    pub fn push(&mut self, step_s: f64, output_mps2: &[f64; M]) -> Result<Dropped, ArrayFault> {
         let late = self.started && step_s <= 0.0;
         if !step_s.is_finite() || step_s < 0.0 || late {
             return Err(ArrayFault::NoTime);
@@ -189,14 +181,13 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         if gap { Err(ArrayFault::Gap) } else { Ok(dropped) }
     }
 
-    fn take(&mut self, step: f64, output: &[R; M], linear: &Linear<R>) {
+    fn take(&mut self, step: f64, output: &[f64; M], linear: &Linear<f64>) {
         let [bias, _] = self.bias_variances();
         let solver = self.array.solver();
         let noise = self.level.excess.max(1.0);
         let at_rest = self.rest_test.push(solver, linear, step, [bias, noise]);
-        let rate = self
-            .best()
-            .map_or(Vector3::zeros(), |filter| filter.state.get(self.blocks.rate()).map(R::to_f64));
+        let rate =
+            self.best().map_or(Vector3::zeros(), |filter| filter.state.get(self.blocks.rate()));
         let away = self.rest_test.away;
         let noise = self.level.push(&self.config, solver, step, output, linear, [rate, away]);
         if self.mixture.is_none() || (self.moving_start && at_rest) {
@@ -215,7 +206,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             (self.resting, self.failing_s) = (false, 0.0);
         }
         if let Some(mixture) = &mut self.mixture {
-            mixture.merge(self.blocks.rotation, real(SAME));
+            mixture.merge(self.blocks.rotation, SAME);
         }
     }
 
@@ -225,7 +216,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.begin_biases(false);
     }
 
-    fn predict(&mut self, step: f64, linear: &Linear<R>, noise: &Noise) {
+    fn predict(&mut self, step: f64, linear: &Linear<f64>, noise: &Noise) {
         let [own, common] = self.bias_variances();
         let c = &self.config;
         let solver = self.array.solver();
@@ -235,19 +226,19 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.direction = slow;
         let angle = if self.resting || !angle.is_finite() { 0.0 } else { angle };
         let scale = (c.scale * c.gravity_mps2) * (c.scale * c.gravity_mps2);
-        let part = scale / solver.variance_mps2().to_f64() / own;
+        let part = scale / solver.variance_mps2() / own;
         let decay = 1.0 - part * (1.0 - libm::exp(-angle));
         let grown = 1.0 - decay * decay;
-        let walk = c.bias_walk * c.bias_walk * step / solver.variance_mps2().to_f64();
+        let walk = c.bias_walk * c.bias_walk * step / solver.variance_mps2();
         let rotation = RigidArray {
             blocks: &self.blocks,
             solver,
-            acceleration_walk: real(noise.acceleration_walk),
-            rate_walk: real(noise.rate_walk),
-            bias_decay: real(decay),
-            bias_variance: real(own * grown + walk),
-            common_variance: real(common * grown),
-            step_s: real(step),
+            acceleration_walk: noise.acceleration_walk,
+            rate_walk: noise.rate_walk,
+            bias_decay: decay,
+            bias_variance: own * grown + walk,
+            common_variance: common * grown,
+            step_s: step,
         };
         let (linear, noise) = self.last.as_ref().map_or((linear, noise), |(l, n)| (l, n));
         let force = force(&self.config, &self.blocks, solver, step, linear, noise);
@@ -258,7 +249,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// Velocity and position over the second half of a step.
-    fn integrate(&mut self, step: f64, linear: &Linear<R>, noise: &Noise) {
+    fn integrate(&mut self, step: f64, linear: &Linear<f64>, noise: &Noise) {
         let solver = self.array.solver();
         let force = force(&self.config, &self.blocks, solver, step, linear, noise);
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
@@ -269,12 +260,11 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 
     /// Update of every hypothesis with every root of the sample that is within its reach. Where none fits, the rotation
     /// before the sample is not known.
-    fn update_rotation(&mut self, linear: &Linear<R>, noise: &Noise) {
+    fn update_rotation(&mut self, linear: &Linear<f64>, noise: &Noise) {
         if self.update_with_roots(linear, noise, LOST) <= LOST {
             return;
         }
-        let [rate, acceleration] =
-            [real::<R>(LOST_RATE * LOST_RATE), real(self.level.activity + 1.0)];
+        let [rate, acceleration] = [LOST_RATE * LOST_RATE, self.level.activity + 1.0];
         let wider = [rate, rate, rate, acceleration, acceleration, acceleration];
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
             filter.add_variance(self.blocks.rotation, wider);
@@ -283,7 +273,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     }
 
     /// Returns the normalised innovation squared of the most probable hypothesis.
-    fn update_with_roots(&mut self, linear: &Linear<R>, noise: &Noise, limit: f64) -> f64 {
+    fn update_with_roots(&mut self, linear: &Linear<f64>, noise: &Noise, limit: f64) -> f64 {
         let Some(mixture) = &mut self.mixture else {
             return 0.0;
         };
@@ -292,19 +282,18 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             blocks: &self.blocks,
             solver,
             linear,
-            noise: ArrayNoise { factor: real(noise.factor), fast: real(noise.fast) },
+            noise: ArrayNoise { factor: noise.factor, fast: noise.fast },
             at_rad_s: Vector3::zeros(),
         };
         let mut roots = None;
-        let found = mixture.update(real(FREEDOM), real(limit), |filter, put| {
+        let found = mixture.update(FREEDOM, limit, |filter, put| {
             let Some(prior) = Prior::of(filter, &sample) else {
                 return;
             };
-            let mut all = heapless::Vec::<Vector3<R>, 12>::new();
-            let mut refine = |start: Vector3<R>| {
+            let mut all = heapless::Vec::<Vector3<f64>, 12>::new();
+            let mut refine = |start: Vector3<f64>| {
                 let root = prior.maximum(&sample, start);
-                if let Some(root) =
-                    root.filter(|r| all.iter().all(|a| prior.distance(a, r) > real(0.01)))
+                if let Some(root) = root.filter(|r| all.iter().all(|a| prior.distance(a, r) > 0.01))
                 {
                     let _ = all.push(root);
                     put(ReducedArray { at_rad_s: root, ..sample });
@@ -312,7 +301,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
                 root
             };
             let own = refine(prior.rate_rad_s).unwrap_or(prior.rate_rad_s);
-            let near = |rate: &Vector3<R>| prior.distance(rate, &prior.rate_rad_s) < real(REACH);
+            let near = |rate: &Vector3<f64>| prior.distance(rate, &prior.rate_rad_s) < REACH;
             if !near(&-own) && solver.roots() == Roots::Two {
                 return;
             }
@@ -326,24 +315,24 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             }
         });
         let freedom = solver.rank() as f64 + 3.0;
-        let statistic = found.map_or(0.0, |innovation| innovation.statistic.to_f64());
+        let statistic = found.map_or(0.0, |innovation| innovation.statistic);
         self.surprise = ((FREEDOM + statistic) / (FREEDOM + freedom)).max(1.0);
         statistic
     }
 
-    fn best(&self) -> Option<&Filter<R, STATES>> {
+    fn best(&self) -> Option<&Filter> {
         let components = self.mixture.as_ref()?.components();
         components.first().map(|c| &c.filter)
     }
 
     /// The angular rates that are possible, rad/s, each with its probability, the most probable first.
-    pub fn hypotheses(&self) -> impl Iterator<Item = (R, [R; 3])> {
+    pub fn hypotheses(&self) -> impl Iterator<Item = (f64, [f64; 3])> {
         let components = self.mixture.iter().flat_map(|m| m.components());
-        components.map(|c| (c.log_weight.exp(), c.filter.state.get(self.blocks.rate()).into()))
+        components.map(|c| (libm::exp(c.log_weight), c.filter.state.get(self.blocks.rate()).into()))
     }
 
     /// What is known now: equation (102).
-    pub fn state(&self) -> ArrayState<R> {
+    pub fn state(&self) -> ArrayState<f64> {
         let Some(mixture) = &self.mixture else {
             return ArrayState::unknown();
         };
@@ -354,12 +343,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let velocity = state.get(VELOCITY);
         let acceleration = self.last.as_ref().map_or(Vector3::zeros(), |(linear, _)| {
             let force = Vector3::from_fn(|i, _| linear.theta[3 + i]);
-            c * force - Vector3::z() * real::<R>(self.config.gravity_mps2)
+            c * force - Vector3::z() * self.config.gravity_mps2
         });
-        let time = real::<R>(self.config.time_sd_s);
-        let at_time = |block: Block<3>, change: Vector3<R>, factor: f64| -> [[R; 3]; 3] {
+        let time = self.config.time_sd_s;
+        let at_time = |block: Block<3>, change: Vector3<f64>, factor: f64| -> [[f64; 3]; 3] {
             let late = change * time;
-            (all.covariance(block) * real::<R>(factor) + late * late.transpose()).into()
+            (all.covariance(block) * factor + late * late.transpose()).into()
         };
         let quaternion = UnitQuaternion::from_rotation_matrix(&state.attitude);
         let mut result = ArrayState {
@@ -373,7 +362,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             position_m: state.get(POSITION).into(),
             position_covariance: at_time(POSITION, velocity, 1.0),
             certainty: mixture.certainty(),
-            since_rest_s: real(self.since_rest_s),
+            since_rest_s: self.since_rest_s,
             resting: self.resting,
             valid: self.valid,
         };
@@ -383,23 +372,23 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
 }
 
 /// Half a step of velocity and position with a sample.
-fn force<'a, R: Real, const M: usize>(
+fn force<'a, const M: usize>(
     config: &ArrayConfig,
     blocks: &'a RigidArrayBlocks,
-    solver: &'a ArraySolver<R, M>,
+    solver: &'a ArraySolver<f64, M>,
     step: f64,
-    linear: &'a Linear<R>,
+    linear: &'a Linear<f64>,
     noise: &Noise,
-) -> ArrayForce<'a, R, M> {
+) -> ArrayForce<'a, M> {
     let own = config.force_noise_mps2 * config.force_noise_mps2;
     ArrayForce {
         blocks,
         solver,
         linear,
-        gravity_mps2: real(config.gravity_mps2),
-        noise_factor: real(noise.factor),
-        force_variance: real(own + noise.vibration),
-        step_s: real(step * 0.5),
+        gravity_mps2: config.gravity_mps2,
+        noise_factor: noise.factor,
+        force_variance: own + noise.vibration,
+        step_s: step * 0.5,
         attitude_covariance: Matrix3::zeros(),
     }
 }

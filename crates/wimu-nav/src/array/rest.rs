@@ -16,7 +16,7 @@ type Zeros = SVector<f64, 9>;
 #[derive(Clone, Debug)]
 pub(super) struct RestTest {
     window_s: f64,
-    detector: Stationarity<f64>,
+    detector: Stationarity,
     /// Variance of the specific force about its mean at a rest, (m/s²)².
     force_variance: f64,
     /// Means since the last sample that was not one of a rest, over at most the window, and that time, s.

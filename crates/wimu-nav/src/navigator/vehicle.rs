@@ -1,42 +1,40 @@
 //! A unit in a vehicle: mounting, non-holonomic constraint, odometer, and the antenna of fixes. Equations (180) to (186).
 
-use nalgebra::{RealField, Vector3};
+use nalgebra::Vector3;
 
 use crate::filter::{Filter, Gate, Innovation};
 use crate::process::RandomWalk;
-use crate::rotation::real;
-use crate::sensor::{Antenna, ForwardAxis, Mounting, NonHolonomic, Odometer, Position};
-use crate::smoother::Recorder;
-use crate::state::{ATTITUDE, Block, Layout, LayoutFull, Role, VELOCITY};
+use crate::sensor::{Antenna, Known, Mounting, NonHolonomic, Odometer, Position};
+use crate::state::{ATTITUDE, Block, Layout, Role, VELOCITY};
 
 /// Errors of a vehicle and of the sensors beside the unit, all as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct VehicleErrors<R> {
+pub struct VehicleErrors {
     /// Velocity of the axle across the forward axis, m/s, to the left and up, at intervals of 0.2 s: chosen on one drive of
     /// a car (score_localization).
-    pub across_mps: [R; 2],
+    pub across_mps: [f64; 2],
     /// Axle from the unit, m, a component: anywhere in a car.
-    pub axle_m: R,
+    pub axle_m: f64,
     /// Antenna from its lever arm, m, a component.
-    pub antenna_m: R,
+    pub antenna_m: f64,
     /// Clock of the samples against that of the fixes, s.
-    pub clock_s: R,
+    pub clock_s: f64,
     /// Scale factor of the odometer: tyres.
-    pub scale: R,
+    pub scale: f64,
     /// Noise of a speed of the odometer, m/s, and over the speed.
-    pub speed: [R; 2],
+    pub speed: [f64; 2],
 }
 
-impl<R: RealField> Default for VehicleErrors<R> {
+impl Default for VehicleErrors {
     fn default() -> Self {
         Self {
-            across_mps: [real(0.1), real(0.2)],
-            axle_m: real(1.0),
-            antenna_m: real(0.5),
-            clock_s: real(0.2),
-            scale: real(0.05),
-            speed: [real(0.05), real(0.01)],
+            across_mps: [0.1, 0.2],
+            axle_m: 1.0,
+            antenna_m: 0.5,
+            clock_s: 0.2,
+            scale: 0.05,
+            speed: [0.05, 0.01],
         }
     }
 }
@@ -58,8 +56,8 @@ const MEAN_S: f64 = 0.1;
 
 /// The vehicle and its states.
 #[derive(Clone, Copy, Debug)]
-pub struct Vehicle<R> {
-    errors: VehicleErrors<R>,
+pub struct Vehicle {
+    errors: VehicleErrors,
     mounting: Mounting,
     antenna: Block<3>,
     clock: Block<1>,
@@ -67,45 +65,42 @@ pub struct Vehicle<R> {
     /// Whether the forward axis is known.
     known: bool,
     /// Integral of the angular rate since the last constraint, and its mean before that, rad/s.
-    turned: Vector3<R>,
-    rate: Vector3<R>,
+    turned: Vector3<f64>,
+    rate: Vector3<f64>,
     /// Mean acceleration of the last samples, m/s², navigation frame.
-    acceleration: Vector3<R>,
-    lasts_s: R,
-    failing_s: R,
+    acceleration: Vector3<f64>,
+    lasts_s: f64,
+    failing_s: f64,
     reverse: bool,
     turns: u32,
     slips: u32,
     speeds: u32,
 }
 
-impl<R: RealField + Copy> Vehicle<R> {
-    pub(super) fn claim<const N: usize>(
-        layout: &mut Layout<R, N>,
-        errors: &VehicleErrors<R>,
-    ) -> Result<Self, LayoutFull> {
+impl Vehicle {
+    pub(super) fn claim(layout: &mut Layout, errors: &VehicleErrors) -> Self {
         let role = Role::Estimated;
         let mounting = Mounting {
-            forward: layout.claim(role, [real(UNKNOWN_AXIS); 3])?,
-            axle: layout.claim(role, [errors.axle_m; 3])?,
+            forward: layout.claim(role, [UNKNOWN_AXIS; 3]),
+            axle: layout.claim(role, [errors.axle_m; 3]),
         };
-        Ok(Self {
+        Self {
             errors: *errors,
             mounting,
-            antenna: layout.claim(role, [errors.antenna_m; 3])?,
-            clock: layout.claim(role, [errors.clock_s])?,
-            scale: layout.claim(role, [errors.scale])?,
+            antenna: layout.claim(role, [errors.antenna_m; 3]),
+            clock: layout.claim(role, [errors.clock_s]),
+            scale: layout.claim(role, [errors.scale]),
             known: false,
             turned: Vector3::zeros(),
             rate: Vector3::zeros(),
             acceleration: Vector3::zeros(),
-            lasts_s: R::zero(),
-            failing_s: R::zero(),
+            lasts_s: 0.0,
+            failing_s: 0.0,
             reverse: false,
             turns: 0,
             slips: 0,
             speeds: 0,
-        })
+        }
     }
 
     /// Forward axis of the vehicle in the body frame, not of unit length, once it is known.
@@ -139,7 +134,7 @@ impl<R: RealField + Copy> Vehicle<R> {
     }
 
     /// A fix by an antenna of the vehicle.
-    pub(super) fn antenna(&self, fix: Position<R>, age_s: R, rate_rad_s: Vector3<R>) -> Antenna<R> {
+    pub(super) fn antenna(&self, fix: Position, age_s: f64, rate_rad_s: Vector3<f64>) -> Antenna {
         Antenna {
             fix,
             offset: self.antenna,
@@ -151,33 +146,32 @@ impl<R: RealField + Copy> Vehicle<R> {
     }
 
     /// The acceleration of a sample, m/s², navigation frame.
-    pub(super) fn accelerate(&mut self, acceleration: Vector3<R>, step_s: R) {
-        let weight = (step_s / real(MEAN_S)).min(R::one());
+    pub(super) fn accelerate(&mut self, acceleration: Vector3<f64>, step_s: f64) {
+        let weight = (step_s / MEAN_S).min(1.0);
         self.acceleration += (acceleration - self.acceleration) * weight;
     }
 
     /// After a sample: the constraint, or the forward axis while it is not known.
-    pub(super) fn step<const N: usize>(
+    pub(super) fn step(
         &mut self,
-        filter: &mut Filter<R, N>,
-        rate: &Vector3<R>,
-        step_s: R,
+        filter: &mut Filter,
+        rate: &Vector3<f64>,
+        step_s: f64,
         at_rest: bool,
-        recorder: &mut impl Recorder<R, N>,
     ) {
         self.turned += rate * step_s;
         self.lasts_s += step_s;
-        if self.lasts_s < real(INTERVAL_S) {
+        if self.lasts_s < INTERVAL_S {
             return;
         }
         self.rate = self.turned / self.lasts_s;
-        let lasts_s = core::mem::replace(&mut self.lasts_s, R::zero());
+        let lasts_s = core::mem::replace(&mut self.lasts_s, 0.0);
         self.turned = Vector3::zeros();
         if at_rest {
             return;
         }
         if !self.known {
-            self.find_axis(filter, recorder);
+            self.find_axis(filter);
             return;
         }
         let constraint = NonHolonomic {
@@ -185,58 +179,43 @@ impl<R: RealField + Copy> Vehicle<R> {
             rate_rad_s: self.rate,
             deviation_mps: self.errors.across_mps,
         };
-        let fits = filter.update_recorded(&constraint, Gate::ChiSquare, recorder);
-        self.failing_s = match fits.accepted {
-            true => R::zero(),
-            false => self.failing_s + lasts_s,
-        };
-        if self.failing_s >= real(TURNED_S) {
-            let unknown = RandomWalk {
-                block: self.mounting.forward,
-                density: real(UNKNOWN_AXIS),
-                step_s: R::one(),
-            };
-            filter.predict_recorded(&unknown, recorder);
-            (self.known, self.failing_s) = (false, R::zero());
+        let fits = filter.update(&constraint, Gate::ChiSquare);
+        self.failing_s = if fits.accepted { 0.0 } else { self.failing_s + lasts_s };
+        if self.failing_s >= TURNED_S {
+            let unknown =
+                RandomWalk { block: self.mounting.forward, density: UNKNOWN_AXIS, step_s: 1.0 };
+            filter.predict(&unknown);
+            (self.known, self.failing_s) = (false, 0.0);
             self.turns += 1;
         }
     }
 
     /// Takes the direction of the velocity for the forward axis.
-    fn find_axis<const N: usize>(
-        &mut self,
-        filter: &mut Filter<R, N>,
-        recorder: &mut impl Recorder<R, N>,
-    ) {
+    fn find_axis(&mut self, filter: &mut Filter) {
         let velocity = filter.state.get(VELOCITY);
         let speed = velocity.norm();
         let variance = filter.covariance(VELOCITY).diagonal().max();
         let heading = filter.covariance(ATTITUDE)[(2, 2)];
-        let square = |x: f64| real::<R>(x * x);
-        if speed < real(LEAST_SPEED)
+        let square = |x: f64| x * x;
+        if speed < LEAST_SPEED
             || variance > square(VELOCITY_KNOWN)
             || heading > square(HEADING_KNOWN)
         {
             return;
         }
-        let sign = if self.reverse { -R::one() } else { R::one() };
-        let axis = ForwardAxis {
+        let sign = if self.reverse { -1.0 } else { 1.0 };
+        let axis = Known {
             block: self.mounting.forward,
-            direction: filter.state.attitude.inverse() * velocity * (sign / speed),
-            deviation_rad: real(AXIS),
+            value: filter.state.attitude.inverse() * velocity * (sign / speed),
+            deviation: [AXIS; 3],
         };
-        let update = filter.update_recorded(&axis, Gate::Open, recorder);
+        let update = filter.update(&axis, Gate::Open);
         self.known = update.accepted;
     }
 
     /// A speed of the wheels. Those that slip or lock fail the test.
-    pub(super) fn odometer<const N: usize>(
-        &mut self,
-        filter: &mut Filter<R, N>,
-        speed_mps: R,
-        recorder: &mut impl Recorder<R, N>,
-    ) -> Option<Innovation<R>> {
-        self.reverse = speed_mps < R::zero();
+    pub(super) fn odometer(&mut self, filter: &mut Filter, speed_mps: f64) -> Option<Innovation> {
+        self.reverse = speed_mps < 0.0;
         if !self.known {
             return None;
         }
@@ -246,10 +225,10 @@ impl<R: RealField + Copy> Vehicle<R> {
             mounting: &self.mounting,
             scale: self.scale,
             speed_mps,
-            deviation_mps: noise.sqrt(),
+            deviation_mps: libm::sqrt(noise),
             rate_rad_s: self.rate,
         };
-        let innovation = filter.update_recorded(&odometer, Gate::ChiSquare, recorder);
+        let innovation = filter.update(&odometer, Gate::ChiSquare);
         self.speeds += 1;
         self.slips += u32::from(!innovation.accepted);
         Some(innovation)

@@ -11,11 +11,10 @@
 //! then takes a tilt for an acceleration. White noise of density 4 ζ ω₀ σ² keeps the acceleration at the variance σ²
 //! (A. Papoulis, "Probability, Random Variables, and Stochastic Processes", second-order systems).
 
-use nalgebra::{Matrix3, RealField, Rotation3};
+use nalgebra::{Matrix3, Rotation3};
 
 use super::{Process, Transition};
-use crate::rotation::real;
-use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
+use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
 /// Natural frequency ω₀, rad/s, and damping ratio ζ of the velocity: chosen on BROAD (score_navigation).
 const FREQUENCY: f64 = 8.0;
@@ -39,64 +38,57 @@ pub struct CarriedBlocks {
 
 impl CarriedBlocks {
     /// Claims both: six states, with their initial deviations, rad/s and m/s².
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
-    pub fn claim<R: RealField + Copy, const N: usize>(
-        layout: &mut Layout<R, N>,
-        rate_rad_s: R,
-        acceleration_mps2: R,
-    ) -> Result<Self, LayoutFull> {
-        Ok(Self {
-            angular_rate: layout.claim(Role::Estimated, [rate_rad_s; 3])?,
-            acceleration: layout.claim(Role::Estimated, [acceleration_mps2; 3])?,
+    pub fn claim(layout: &mut Layout, rate_rad_s: f64, acceleration_mps2: f64) -> Self {
+        Self {
+            angular_rate: layout.claim(Role::Estimated, [rate_rad_s; 3]),
+            acceleration: layout.claim(Role::Estimated, [acceleration_mps2; 3]),
             constant_velocity: None,
-        })
+        }
     }
 }
 
 /// A step.
 #[derive(Clone, Copy, Debug)]
-pub struct Carried<'a, R> {
+pub struct Carried<'a> {
     /// Its states.
     pub blocks: &'a CarriedBlocks,
     /// Stationary standard deviation of the acceleration, m/s², a component.
-    pub acceleration_mps2: R,
+    pub acceleration_mps2: f64,
     /// Stationary standard deviation of the angular rate, rad/s, a component.
-    pub rate_rad_s: R,
+    pub rate_rad_s: f64,
     /// Whether the unit is at rest.
     pub at_rest: bool,
     /// Length of the step, s.
-    pub step_s: R,
+    pub step_s: f64,
 }
 
-impl<R: RealField + Copy, const N: usize> Process<R, N> for Carried<'_, R> {
-    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
-        let (dt, one) = (self.step_s, real::<R>(1.0));
+impl Process for Carried<'_> {
+    fn propagate(&self, state: &mut State, transition: &mut Transition) {
+        let (dt, one) = (self.step_s, 1.0);
         let CarriedBlocks { angular_rate, acceleration, constant_velocity } = *self.blocks;
-        let damping = real::<R>(2.0 * DAMPING * FREQUENCY) * dt;
-        let spring = real::<R>(FREQUENCY * FREQUENCY) * dt;
-        let decay = (-dt / real(RATE_TIME_S)).exp();
+        let damping = (2.0 * DAMPING * FREQUENCY) * dt;
+        let spring = (FREQUENCY * FREQUENCY) * dt;
+        let decay = libm::exp(-dt / RATE_TIME_S);
 
         transition.add(ATTITUDE, angular_rate, state.attitude.matrix() * dt);
         transition.add(VELOCITY, acceleration, Matrix3::identity() * dt);
         transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
-        transition.add(POSITION, acceleration, Matrix3::identity() * (dt * dt * real(0.5)));
+        transition.add(POSITION, acceleration, Matrix3::identity() * (dt * dt * 0.5));
         transition.add(angular_rate, angular_rate, Matrix3::identity() * (decay - one));
         transition.add(acceleration, VELOCITY, Matrix3::identity() * -spring);
         transition.add(acceleration, acceleration, Matrix3::identity() * -damping);
-        let square = |deviation: R| deviation * deviation;
+        let square = |deviation: f64| deviation * deviation;
         transition.add_noise(angular_rate, square(self.rate_rad_s) * (one - square(decay)));
-        transition.add_noise(acceleration, square(self.acceleration_mps2) * damping * real(2.0));
+        transition.add_noise(acceleration, square(self.acceleration_mps2) * damping * 2.0);
         if let Some(constant) = constant_velocity {
             transition.add(POSITION, constant, Matrix3::identity() * dt);
         }
         if !self.at_rest {
-            transition.add_noise(POSITION, real::<R>(WANDER * WANDER) * dt);
+            transition.add_noise(POSITION, (WANDER * WANDER) * dt);
         }
 
         let (v, a, rate) = (state.get(VELOCITY), state.get(acceleration), state.get(angular_rate));
-        let position = state.get(POSITION) + (v + a * (dt * real(0.5))) * dt;
+        let position = state.get(POSITION) + (v + a * (dt * 0.5)) * dt;
         state.attitude *= Rotation3::new(rate * dt);
         state.set(POSITION, position);
         state.set(VELOCITY, v + a * dt);

@@ -4,11 +4,10 @@
 //! first's, [`VELOCITY`] and [`POSITION`] are those of the second unit from the first, in the first's axes. Gravity acts on
 //! both and cancels.
 
-use nalgebra::{Matrix3, RealField, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::{ImuErrors, Process, Transition};
-use crate::rotation::real;
-use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
+use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
 /// States of the relative motion beside attitude, velocity and position; of the first and the second unit, each in its axes.
 #[derive(Clone, Copy, Debug)]
@@ -23,55 +22,49 @@ pub struct RelativeBlocks {
 
 impl RelativeBlocks {
     /// Claims 18 states.
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
-    pub fn claim<R: RealField + Copy, const N: usize>(
-        layout: &mut Layout<R, N>,
-        errors: &ImuErrors<R>,
-    ) -> Result<Self, LayoutFull> {
-        let mut two = |role, deviation: R| {
-            Ok([layout.claim(role, [deviation; 3])?, layout.claim(role, [deviation; 3])?])
+    pub fn claim(layout: &mut Layout, errors: &ImuErrors) -> Self {
+        let mut two = |role, deviation: f64| {
+            [layout.claim(role, [deviation; 3]), layout.claim(role, [deviation; 3])]
         };
-        Ok(Self {
-            gyroscope_bias: two(Role::Estimated, errors.gyroscope_bias)?,
-            accelerometer_bias: two(Role::Estimated, errors.accelerometer_bias)?,
-            gyroscope_scale: two(Role::Considered, errors.gyroscope_matrix[0])?,
-        })
+        Self {
+            gyroscope_bias: two(Role::Estimated, errors.gyroscope_bias),
+            accelerometer_bias: two(Role::Estimated, errors.accelerometer_bias),
+            gyroscope_scale: two(Role::Considered, errors.gyroscope_matrix[0]),
+        }
     }
 }
 
 /// A step: means over it, of the first and the second unit, each in its axes.
 #[derive(Clone, Copy, Debug)]
-pub struct Relative<'a, R> {
+pub struct Relative<'a> {
     /// Length of the step, s.
-    pub step_s: R,
+    pub step_s: f64,
     /// Measured specific forces, m/s².
-    pub force_mps2: [Vector3<R>; 2],
+    pub force_mps2: [Vector3<f64>; 2],
     /// Measured angular rates, rad/s.
-    pub rate_rad_s: [Vector3<R>; 2],
+    pub rate_rad_s: [Vector3<f64>; 2],
     /// States of the relative motion.
     pub blocks: &'a RelativeBlocks,
     /// Errors of each unit.
-    pub errors: &'a ImuErrors<R>,
+    pub errors: &'a ImuErrors,
 }
 
-impl<R: RealField + Copy, const N: usize> Process<R, N> for Relative<'_, R> {
-    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+impl Process for Relative<'_> {
+    fn propagate(&self, state: &mut State, transition: &mut Transition) {
         let dt = self.step_s;
         let one = Matrix3::identity();
         let rate = [0, 1].map(|k| self.rate_rad_s[k] - state.get(self.blocks.gyroscope_bias[k]));
         let force =
             [0, 1].map(|k| self.force_mps2[k] - state.get(self.blocks.accelerometer_bias[k]));
         let to_first = *state.attitude.matrix();
-        let half = rate.map(|rate| Rotation3::new(rate * (dt * real(0.5))));
+        let half = rate.map(|rate| Rotation3::new(rate * (dt * 0.5)));
         let second = to_first * (half[1] * force[1]);
         let acceleration = second - half[0] * force[0];
         let (velocity, position) = (state.get(VELOCITY), state.get(POSITION));
         let back = Rotation3::new(rate[0] * -dt);
         let turned = *back.matrix();
         state.attitude = back * state.attitude * Rotation3::new(rate[1] * dt);
-        let moved = position + (velocity + acceleration * (dt * real(0.5))) * dt;
+        let moved = position + (velocity + acceleration * (dt * 0.5)) * dt;
         state.set(POSITION, turned * moved);
         state.set(VELOCITY, turned * (velocity + acceleration * dt));
 
@@ -95,11 +88,10 @@ impl<R: RealField + Copy, const N: usize> Process<R, N> for Relative<'_, R> {
             transition.add(block, self.blocks.gyroscope_bias[0], carried);
             transition.add(block, self.blocks.gyroscope_scale[0], carried * scale[0]);
         }
-        let square = |deviation: R| deviation * deviation * dt;
+        let square = |deviation: f64| deviation * deviation * dt;
         let jitter = acceleration.norm() * self.errors.time_s;
-        let two = real::<R>(2.0);
-        transition.add_noise(ATTITUDE, two * square(self.errors.gyroscope_noise));
-        let white = two * square(self.errors.accelerometer_noise);
+        transition.add_noise(ATTITUDE, 2.0 * square(self.errors.gyroscope_noise));
+        let white = 2.0 * square(self.errors.accelerometer_noise);
         transition.add_noise(VELOCITY, white + jitter * jitter);
         for k in 0..2 {
             let walks = [self.errors.gyroscope_bias_walk, self.errors.accelerometer_bias_walk];

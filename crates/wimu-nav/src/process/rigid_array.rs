@@ -8,10 +8,8 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::{Process, Transition};
-use crate::Real;
 use crate::array::{ArraySolver, Linear};
-use crate::rotation::real;
-use crate::state::{ATTITUDE, Block, Layout, LayoutFull, POSITION, Role, State, VELOCITY};
+use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
 /// Correlation time of the second-order error of the specific force, s: a second of motion between rests, chosen on
 /// simulated journeys (array_journeys).
@@ -33,21 +31,14 @@ pub struct RigidArrayBlocks {
 impl RigidArrayBlocks {
     /// Claims 21 states, with the initial standard deviations of the rotation, rad/s and rad/s², and of e. Those of
     /// the biases are zero: [`set_covariance`](crate::filter::Filter::set_covariance) gives them.
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
-    pub fn claim<R: Real, const N: usize>(
-        layout: &mut Layout<R, N>,
-        [rate, acceleration]: [R; 2],
-        lever: R,
-    ) -> Result<Self, LayoutFull> {
+    pub fn claim(layout: &mut Layout, [rate, acceleration]: [f64; 2], lever: f64) -> Self {
         let rotation = [rate, rate, rate, acceleration, acceleration, acceleration];
-        Ok(Self {
-            rotation: layout.claim(Role::Estimated, rotation)?,
-            bias: layout.claim(Role::Estimated, [R::zero(); 6])?,
-            z_bias: layout.claim(Role::Estimated, [R::zero(); 6])?,
-            lever: layout.claim(Role::Considered, [lever; 3])?,
-        })
+        Self {
+            rotation: layout.claim(Role::Estimated, rotation),
+            bias: layout.claim(Role::Estimated, [0.0; 6]),
+            z_bias: layout.claim(Role::Estimated, [0.0; 6]),
+            lever: layout.claim(Role::Considered, [lever; 3]),
+        }
     }
 
     /// Angular rate, rad/s.
@@ -63,64 +54,56 @@ impl RigidArrayBlocks {
 
 /// Rotation over a step, and the drift of the biases.
 #[derive(Clone, Copy, Debug)]
-pub struct RigidArray<'a, R, const M: usize> {
+pub struct RigidArray<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<R, M>,
+    pub solver: &'a ArraySolver<f64, M>,
     /// Density of the noise of the angular acceleration, (rad/s²)²/s.
-    pub acceleration_walk: R,
+    pub acceleration_walk: f64,
     /// Density of the noise of the angular rate, (rad/s)²/s.
-    pub rate_walk: R,
+    pub rate_walk: f64,
     /// Factor by which the biases decay, and what is added to their variance: of an axis in units of its noise variance, and
     /// of the specific force besides, (m/s²)².
-    pub bias_decay: R,
+    pub bias_decay: f64,
     /// See [`bias_decay`](Self::bias_decay).
-    pub bias_variance: R,
+    pub bias_variance: f64,
     /// See [`bias_decay`](Self::bias_decay).
-    pub common_variance: R,
+    pub common_variance: f64,
     /// Length of the step, s.
-    pub step_s: R,
+    pub step_s: f64,
 }
 
-impl<R: Real, const M: usize> RigidArray<'_, R, M> {
-    fn propagate_rotation<const N: usize>(
-        &self,
-        state: &mut State<R, N>,
-        transition: &mut Transition<R, N>,
-    ) {
+impl<const M: usize> RigidArray<'_, M> {
+    fn propagate_rotation(&self, state: &mut State, transition: &mut Transition) {
         let (dt, one) = (self.step_s, Matrix3::identity());
         let (rate, acceleration) = (self.blocks.rate(), self.blocks.acceleration());
         let c = *state.attitude.matrix();
         transition.add(ATTITUDE, rate, c * dt);
-        transition.add(ATTITUDE, acceleration, c * (dt * dt * real(0.5)));
+        transition.add(ATTITUDE, acceleration, c * (dt * dt * 0.5));
         transition.add(rate, acceleration, one * dt);
         // White noise of both, integrated over the step.
         let (walk, jerk) = (self.rate_walk * dt, self.acceleration_walk * dt);
-        let term = |matrix: Matrix3<R>, of_rate: f64, of_acceleration: f64| {
-            matrix * (walk * real(of_rate) + jerk * dt * dt * real(of_acceleration))
+        let term = |matrix: Matrix3<f64>, of_rate: f64, of_acceleration: f64| {
+            matrix * (walk * of_rate + jerk * dt * dt * of_acceleration)
         };
         transition.add_covariance(ATTITUDE, ATTITUDE, term(one * (dt * dt), 1.0 / 3.0, 0.05));
         transition.add_covariance(ATTITUDE, rate, term(c * dt, 0.5, 0.125));
-        transition.add_covariance(ATTITUDE, acceleration, c * (jerk * dt * dt * real(1.0 / 6.0)));
+        transition.add_covariance(ATTITUDE, acceleration, c * (jerk * dt * dt * (1.0 / 6.0)));
         transition.add_covariance(rate, rate, term(one, 1.0, 1.0 / 3.0));
-        transition.add_covariance(rate, acceleration, one * (jerk * dt * real(0.5)));
+        transition.add_covariance(rate, acceleration, one * (jerk * dt * 0.5));
         transition.add_noise(acceleration, jerk);
 
         let (w, a) = (state.get(rate), state.get(acceleration));
-        state.attitude *= Rotation3::new((w + a * (dt * real(0.5))) * dt);
+        state.attitude *= Rotation3::new((w + a * (dt * 0.5)) * dt);
         state.set(rate, w + a * dt);
     }
 
-    fn propagate_biases<const N: usize>(
-        &self,
-        state: &mut State<R, N>,
-        transition: &mut Transition<R, N>,
-    ) {
+    fn propagate_biases(&self, state: &mut State, transition: &mut Transition) {
         let RigidArrayBlocks { bias, z_bias, .. } = *self.blocks;
         let (first, second) = (bias.part::<3, 0>(), bias.part::<3, 3>());
-        if self.bias_decay < R::one() {
-            let lost = Matrix3::identity() * (self.bias_decay - R::one());
+        if self.bias_decay < 1.0 {
+            let lost = Matrix3::identity() * (self.bias_decay - 1.0);
             for block in [first, second, z_bias.part::<3, 0>(), z_bias.part::<3, 3>()] {
                 transition.add(block, block, lost);
                 state.set(block, state.get(block) * self.bias_decay);
@@ -128,7 +111,7 @@ impl<R: Real, const M: usize> RigidArray<'_, R, M> {
         }
         let covariance = self.solver.covariance();
         let part = |row: usize, column: usize| {
-            Matrix3::from_fn(|i, j| real::<R>(covariance[row + i][column + j]) * self.bias_variance)
+            Matrix3::from_fn(|i, j| (covariance[row + i][column + j]) * self.bias_variance)
         };
         transition.add_covariance(first, first, part(0, 0));
         transition.add_covariance(first, second, part(0, 3));
@@ -140,8 +123,8 @@ impl<R: Real, const M: usize> RigidArray<'_, R, M> {
     }
 }
 
-impl<R: Real, const M: usize, const N: usize> Process<R, N> for RigidArray<'_, R, M> {
-    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
+impl<const M: usize> Process for RigidArray<'_, M> {
+    fn propagate(&self, state: &mut State, transition: &mut Transition) {
         self.propagate_rotation(state, transition);
         self.propagate_biases(state, transition);
     }
@@ -150,28 +133,28 @@ impl<R: Real, const M: usize, const N: usize> Process<R, N> for RigidArray<'_, R
 /// Velocity and position over half an interval between samples, from the specific force at one end: both halves are the
 /// trapezoidal rule.
 #[derive(Clone, Copy, Debug)]
-pub struct ArrayForce<'a, R, const M: usize> {
+pub struct ArrayForce<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<R, M>,
+    pub solver: &'a ArraySolver<f64, M>,
     /// The sample.
-    pub linear: &'a Linear<R>,
+    pub linear: &'a Linear<f64>,
     /// Gravity, m/s².
-    pub gravity_mps2: R,
+    pub gravity_mps2: f64,
     /// Variance of the sample in units of what the geometry declares.
-    pub noise_factor: R,
+    pub noise_factor: f64,
     /// Variance of the specific force besides, a component, (m/s²)².
-    pub force_variance: R,
+    pub force_variance: f64,
     /// Half the interval between two samples, s.
-    pub step_s: R,
+    pub step_s: f64,
     /// Covariance of the attitude error, rad²: the mean specific force is smaller than that of the mean attitude.
-    pub attitude_covariance: Matrix3<R>,
+    pub attitude_covariance: Matrix3<f64>,
 }
 
-impl<R: Real, const M: usize, const N: usize> Process<R, N> for ArrayForce<'_, R, M> {
-    fn propagate(&self, state: &mut State<R, N>, transition: &mut Transition<R, N>) {
-        let (dt, half) = (self.step_s, real::<R>(0.5));
+impl<const M: usize> Process for ArrayForce<'_, M> {
+    fn propagate(&self, state: &mut State, transition: &mut Transition) {
+        let (dt, half) = (self.step_s, 0.5);
         let bias = self.blocks.bias.part::<3, 3>();
         let rate = state.get(self.blocks.rate());
         let (theta, slope) = self.solver.expected_theta(rate.into());
@@ -195,11 +178,11 @@ impl<R: Real, const M: usize, const N: usize> Process<R, N> for ArrayForce<'_, R
         // The noise of a sample acts in two halves: half the variance of a full step in each.
         let covariance = self.solver.covariance();
         let noise = Matrix3::from_fn(|i, j| {
-            let other = if i == j { self.force_variance } else { R::zero() };
-            real::<R>(covariance[3 + i][3 + j]) * self.noise_factor + other
+            let other = if i == j { self.force_variance } else { 0.0 };
+            (covariance[3 + i][3 + j]) * self.noise_factor + other
         });
-        let noise = c * noise * c.transpose() * (dt * dt * real(2.0));
-        let noise = noise + second * second.transpose() * (dt * real(SECOND_ORDER_S));
+        let noise = c * noise * c.transpose() * (dt * dt * 2.0);
+        let noise = noise + second * second.transpose() * (dt * SECOND_ORDER_S);
         transition.add_covariance(VELOCITY, VELOCITY, noise);
     }
 }

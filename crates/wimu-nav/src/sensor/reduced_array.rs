@@ -10,49 +10,46 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::{Measurement, Prediction};
-use crate::Real;
 use crate::array::{ArraySolver, Linear};
 use crate::filter::Filter;
 use crate::process::RigidArrayBlocks;
-use crate::rotation::real;
-use crate::state::Jacobian;
 
 /// Angular acceleration (3) and z (6).
 const MEASURED: usize = 9;
 /// Most steps to a maximum; a good start takes 2 to 4.
 const MOST_STEPS: usize = 12;
 
-type Measured<R> = SVector<R, MEASURED>;
-type Slope<R> = SMatrix<R, MEASURED, 3>;
-type Square<R> = SMatrix<R, MEASURED, MEASURED>;
+type Measured = SVector<f64, MEASURED>;
+type Slope = SMatrix<f64, MEASURED, 3>;
+type Square = SMatrix<f64, MEASURED, MEASURED>;
 
 /// Noise of a sample.
 #[derive(Clone, Copy, Debug)]
-pub struct ArrayNoise<R> {
+pub struct ArrayNoise {
     /// Variance of the sensors in units of what the geometry declares.
-    pub factor: R,
+    pub factor: f64,
     /// Variance of the angular acceleration that lasts for one sample only, (rad/s²)².
-    pub fast: R,
+    pub fast: f64,
 }
 
 /// A sample, linearised at an angular rate.
 #[derive(Clone, Copy, Debug)]
-pub struct ReducedArray<'a, R, const M: usize> {
+pub struct ReducedArray<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<R, M>,
+    pub solver: &'a ArraySolver<f64, M>,
     /// The sample.
-    pub linear: &'a Linear<R>,
+    pub linear: &'a Linear<f64>,
     /// Its noise.
-    pub noise: ArrayNoise<R>,
+    pub noise: ArrayNoise,
     /// Angular rate at which it is linearised, rad/s, body frame.
-    pub at_rad_s: Vector3<R>,
+    pub at_rad_s: Vector3<f64>,
 }
 
-impl<R: Real, const M: usize> ReducedArray<'_, R, M> {
+impl<const M: usize> ReducedArray<'_, M> {
     /// What an angular rate adds to the measured values, and its derivative.
-    fn centripetal(&self, rate: &Vector3<R>) -> (Measured<R>, Slope<R>) {
+    fn centripetal(&self, rate: &Vector3<f64>) -> (Measured, Slope) {
         let (theta, theta_slope) = self.solver.expected_theta((*rate).into());
         let (z, z_slope) = self.solver.expected_z((*rate).into());
         let value = Measured::from_fn(|k, _| if k < 3 { theta[k] } else { z[k - 3] });
@@ -63,17 +60,17 @@ impl<R: Real, const M: usize> ReducedArray<'_, R, M> {
         (value, slope)
     }
 
-    fn measured(&self) -> Measured<R> {
+    fn measured(&self) -> Measured {
         let Linear { theta, z } = self.linear;
         Measured::from_fn(|k, _| if k < 3 { theta[k] } else { z[k - 3] })
     }
 
-    fn covariance(&self) -> Square<R> {
+    fn covariance(&self) -> Square {
         let own = self.solver.covariance();
         let mut noise = Square::identity() * self.noise.factor;
         for i in 0..3 {
             for j in 0..3 {
-                noise[(i, j)] = real::<R>(own[i][j]) * self.noise.factor;
+                noise[(i, j)] = own[i][j] * self.noise.factor;
             }
             noise[(i, i)] += self.noise.fast;
         }
@@ -81,10 +78,8 @@ impl<R: Real, const M: usize> ReducedArray<'_, R, M> {
     }
 }
 
-impl<R: Real, const M: usize, const N: usize> Measurement<R, N, MEASURED>
-    for ReducedArray<'_, R, M>
-{
-    fn predict(&self, filter: &Filter<R, N>) -> Prediction<R, N, MEASURED> {
+impl<const M: usize> Measurement for ReducedArray<'_, M> {
+    fn predict(&self, filter: &Filter) -> Prediction {
         let RigidArrayBlocks { rotation, bias, z_bias, lever } = *self.blocks;
         let (value, slope) = self.centripetal(&self.at_rad_s);
         let rate = filter.state.get(self.blocks.rate());
@@ -94,45 +89,41 @@ impl<R: Real, const M: usize, const N: usize> Measurement<R, N, MEASURED>
             0..3 => turn[k] + b[k],
             _ => b_z[k - 3],
         });
-        let mut by_rotation = SMatrix::<R, MEASURED, 6>::zeros();
-        let mut by_z_bias = SMatrix::<R, MEASURED, 6>::zeros();
-        let mut by_bias = SMatrix::<R, MEASURED, 3>::zeros();
+        let mut by_rotation = SMatrix::<f64, MEASURED, 6>::zeros();
+        let mut by_z_bias = SMatrix::<f64, MEASURED, 6>::zeros();
+        let mut by_bias = SMatrix::<f64, MEASURED, 3>::zeros();
         by_rotation.fixed_view_mut::<9, 3>(0, 0).copy_from(&slope);
         by_rotation.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
         by_z_bias.fixed_view_mut::<6, 6>(3, 0).fill_with_identity();
         by_bias.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         let by_lever = slope * self.at_rad_s.norm();
-        Prediction {
-            innovation: self.measured() - value - slope * (rate - self.at_rad_s) - other,
-            jacobian: Jacobian::zeros()
-                .with(rotation, by_rotation)
-                .with(bias.part::<3, 0>(), by_bias)
-                .with(z_bias, by_z_bias)
-                .with(lever, by_lever),
-            covariance: self.covariance(),
-        }
+        Prediction::new(
+            self.measured() - value - slope * (rate - self.at_rad_s) - other,
+            self.covariance(),
+        )
+        .by(rotation, by_rotation)
+        .by(bias.part::<3, 0>(), by_bias)
+        .by(z_bias, by_z_bias)
+        .by(lever, by_lever)
     }
 }
 
 /// Density of the angular rate before a sample, and of the sample at a known angular rate.
 #[derive(Clone, Debug)]
-pub struct Prior<R> {
+pub struct Prior {
     /// Mean angular rate, rad/s, and inverse of its covariance.
-    pub rate_rad_s: Vector3<R>,
-    information: Matrix3<R>,
+    pub rate_rad_s: Vector3<f64>,
+    information: Matrix3<f64>,
     /// Mean of angular acceleration and biases, and how it changes with the angular rate.
-    offset: Measured<R>,
-    regression: Slope<R>,
+    offset: Measured,
+    regression: Slope,
     /// Inverse covariance of the sample at a known angular rate.
-    precision: Square<R>,
+    precision: Square,
 }
 
-impl<R: Real> Prior<R> {
+impl Prior {
     /// Of a sample; where it is linearised does not matter. `None` where a covariance is not positive definite.
-    pub fn of<const M: usize, const N: usize>(
-        filter: &Filter<R, N>,
-        sample: &ReducedArray<'_, R, M>,
-    ) -> Option<Self> {
+    pub fn of<const M: usize>(filter: &Filter, sample: &ReducedArray<'_, M>) -> Option<Self> {
         let blocks = sample.blocks;
         let (rate, turn) = (blocks.rate(), blocks.acceleration());
         let (b, z) = (blocks.bias.part::<3, 0>(), blocks.z_bias);
@@ -168,7 +159,7 @@ impl<R: Real> Prior<R> {
     }
 
     /// Squared difference of two angular rates over the covariance before the sample.
-    pub fn distance(&self, a: &Vector3<R>, b: &Vector3<R>) -> R {
+    pub fn distance(&self, a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
         let d = a - b;
         d.dot(&(self.information * d))
     }
@@ -176,11 +167,11 @@ impl<R: Real> Prior<R> {
     /// The maximum of the posterior density near a start: damped Gauss-Newton, equation (97). `None` where it is not finite.
     pub fn maximum<const M: usize>(
         &self,
-        sample: &ReducedArray<'_, R, M>,
-        start: Vector3<R>,
-    ) -> Option<Vector3<R>> {
+        sample: &ReducedArray<'_, M>,
+        start: Vector3<f64>,
+    ) -> Option<Vector3<f64>> {
         let measured = sample.measured() - self.offset;
-        let residual = |rate: &Vector3<R>| {
+        let residual = |rate: &Vector3<f64>| {
             let (value, slope) = sample.centripetal(rate);
             let away = rate - self.rate_rad_s;
             let residual = measured - value - self.regression * away;
@@ -190,11 +181,11 @@ impl<R: Real> Prior<R> {
         };
         let mut rate = start;
         let (mut cost, mut weighted, mut slope) = residual(&rate);
-        let mut damping = R::zero();
+        let mut damping = 0.0;
         for _ in 0..MOST_STEPS {
             let mut normal = self.information + slope.transpose() * (self.precision * slope);
             for k in 0..3 {
-                normal[(k, k)] *= R::one() + damping;
+                normal[(k, k)] *= 1.0 + damping;
             }
             let gradient =
                 slope.transpose() * weighted + self.information * (self.rate_rad_s - rate);
@@ -203,15 +194,15 @@ impl<R: Real> Prior<R> {
             if next.0 <= cost {
                 rate += step;
                 (cost, weighted, slope) = next;
-                damping *= real(0.1);
+                damping *= 0.1;
                 // A thousandth of a squared standard deviation.
-                if step.dot(&gradient) < real(1e-3) {
+                if step.dot(&gradient) < (1e-3) {
                     break;
                 }
-            } else if damping > real(1e3) || !next.0.is_finite() {
+            } else if damping > 1e3 || !next.0.is_finite() {
                 break;
             } else {
-                damping = (damping * real(10.0)).max(real(1e-3));
+                damping = (damping * 10.0).max(1e-3);
             }
         }
         (cost.is_finite() && rate.iter().all(|w| w.is_finite())).then_some(rate)

@@ -1,164 +1,145 @@
 //! The log of a filter for the smoother.
 
-use nalgebra::{RealField, SMatrix, SVector, Vector3};
+use alloc::vec::Vec;
 
-use crate::filter::Filter;
+use nalgebra::{DMatrix, DVector};
+
 use crate::process::Transition;
-use crate::rotation::real;
 use crate::sensor::Prediction;
-use crate::state::{ATTITUDE, State};
-
-/// What a navigator reports to a recorder. `()` records nothing and costs nothing.
-pub trait Recorder<R, const N: usize> {
-    /// After a prediction, before the updates with the measurements of its time.
-    fn predicted(&mut self, _: &Filter<R, N>, _: &Transition<R, N>) {}
-    /// After an update with a gain.
-    fn corrected<const M: usize>(&mut self, _: &SMatrix<R, N, M>, _: &Prediction<R, N, M>) {}
-    /// After all updates of a time, which is a step later than that before, s.
-    fn updated(&mut self, _: &Filter<R, N>, _step_s: R) {}
-    /// The state or its covariance was replaced: what follows says nothing of what was before.
-    fn restarted(&mut self, _: &Filter<R, N>) {}
-}
-
-impl<R, const N: usize> Recorder<R, N> for () {}
+use crate::state::State;
 
 /// A time in the log: the prediction from the epoch before, and all updates of that time.
 #[derive(Clone, Debug)]
-pub struct Epoch<R, const N: usize> {
+pub struct Epoch {
     /// Whether the epoch before is connected with this one.
     pub(super) linked: bool,
-    pub(super) considered: [bool; N],
+    pub(super) considered: Vec<bool>,
     /// Error before the updates by that after them at the epoch before: F. Once smoothed: gain G of the epoch before.
-    pub(super) transition: SMatrix<R, N, N>,
+    pub(super) transition: DMatrix<f64>,
     /// Covariance Q of the noise of the prediction. Once smoothed: (P Fᵀ − G P₋) Θᵀ, see equation (138).
-    pub(super) noise: SMatrix<R, N, N>,
+    pub(super) noise: DMatrix<f64>,
     /// Error after the updates by that before them: product Θ of 1 − K H. Once smoothed: Θ F.
-    pub(super) update: SMatrix<R, N, N>,
+    pub(super) update: DMatrix<f64>,
     /// Covariance of K n. Once smoothed: derivative A of the smoothed error by the filtered one.
-    pub(super) update_noise: SMatrix<R, N, N>,
+    pub(super) update_noise: DMatrix<f64>,
     /// Covariance after the updates. Once smoothed: given all measurements.
-    pub(super) covariance: SMatrix<R, N, N>,
+    pub(super) covariance: DMatrix<f64>,
     /// Error that the updates added to the state.
-    pub(super) injected: SVector<R, N>,
+    pub(super) injected: DVector<f64>,
     /// Error that the smoother adds to the state after the updates.
-    pub(super) correction: SVector<R, N>,
+    pub(super) correction: DVector<f64>,
 }
 
-/// Records epochs in a collection: at each time with an update, and at least as often as an interval.
-#[derive(Clone, Debug)]
-pub struct Log<R, const N: usize, S> {
-    epochs: S,
-    interval_s: R,
-    elapsed_s: R,
-    changed: bool,
-    next: Option<Epoch<R, N>>,
-    predicted: Option<State<R, N>>,
-}
+impl Epoch {
+    /// Memory of an epoch with so many states, bytes.
+    pub fn bytes(states: usize) -> usize {
+        size_of::<f64>() * states * (5 * states + 2)
+    }
 
-impl<R: RealField + Copy, const N: usize, S: Extend<Epoch<R, N>>> Log<R, N, S> {
-    /// A log into a collection, with the longest interval between epochs, s.
-    pub fn new(epochs: S, interval_s: R) -> Self {
+    fn empty(states: usize) -> Self {
+        let (none, identity) = (DMatrix::zeros(states, states), DMatrix::identity(states, states));
         Self {
-            epochs,
-            interval_s,
-            elapsed_s: R::zero(),
-            changed: false,
-            next: None,
-            predicted: None,
-        }
-    }
-
-    /// The collection. It has grown with a sample if its last epoch is that of the sample.
-    pub fn epochs(&self) -> &S {
-        &self.epochs
-    }
-
-    /// The collection, to take epochs from it: the last one must stay, as the next one refers to it.
-    pub fn epochs_mut(&mut self) -> &mut S {
-        &mut self.epochs
-    }
-
-    /// The collection, at the end.
-    pub fn into_epochs(self) -> S {
-        self.epochs
-    }
-
-    fn push(&mut self, filter: &Filter<R, N>, linked: bool) {
-        let next = Epoch {
             linked: true,
-            considered: filter.considered,
-            transition: SMatrix::identity(),
-            noise: SMatrix::zeros(),
-            update: SMatrix::identity(),
-            update_noise: SMatrix::zeros(),
-            covariance: filter.covariance,
-            injected: SVector::zeros(),
-            correction: SVector::zeros(),
-        };
-        let mut epoch = self.next.replace(next.clone()).unwrap_or(next);
-        epoch.linked = linked;
-        epoch.covariance = filter.covariance;
-        if let Some(predicted) = self.predicted.replace(filter.state.clone()) {
-            epoch.injected = difference(&filter.state, &predicted);
+            considered: Vec::new(),
+            transition: identity.clone(),
+            noise: none.clone(),
+            update: identity,
+            update_noise: none.clone(),
+            covariance: none,
+            injected: DVector::zeros(states),
+            correction: DVector::zeros(states),
         }
-        self.epochs.extend([epoch]);
-        self.elapsed_s = R::zero();
+    }
+}
+
+/// Records epochs: at each time with an update, and at least as often as an interval.
+#[derive(Clone, Debug)]
+pub struct Log {
+    /// The epochs. They have grown with a sample if the last one is that of the sample; the last one must stay, as the next
+    /// one refers to it.
+    pub epochs: Vec<Epoch>,
+    interval_s: f64,
+    elapsed_s: f64,
+    changed: bool,
+    next: Option<Epoch>,
+    predicted: Option<State>,
+}
+
+impl Log {
+    /// A log with the longest interval between epochs, s.
+    pub fn new(interval_s: f64) -> Self {
+        let epochs = Vec::new();
+        Self { epochs, interval_s, elapsed_s: 0.0, changed: false, next: None, predicted: None }
+    }
+
+    fn push(
+        &mut self,
+        state: &State,
+        covariance: &DMatrix<f64>,
+        considered: &[bool],
+        linked: bool,
+    ) {
+        let states = considered.len();
+        let next = self.next.replace(Epoch::empty(states));
+        // After a claim of states nothing before it is linked.
+        let next = next.filter(|next| next.injected.len() == states);
+        let mut epoch = next.unwrap_or_else(|| Epoch::empty(states));
+        epoch.linked = linked;
+        epoch.considered = considered.to_vec();
+        epoch.covariance.copy_from(covariance);
+        let predicted = self.predicted.replace(state.clone());
+        if let Some(predicted) = predicted.filter(|p| p.vector.len() == states) {
+            epoch.injected = predicted.difference(state);
+        }
+        self.epochs.push(epoch);
+        self.elapsed_s = 0.0;
         self.changed = false;
     }
-}
 
-impl<R, const N: usize, S> Recorder<R, N> for Log<R, N, S>
-where
-    R: RealField + Copy,
-    S: Extend<Epoch<R, N>>,
-{
-    fn predicted(&mut self, filter: &Filter<R, N>, transition: &Transition<R, N>) {
+    /// After a prediction, before the updates with the measurements of its time.
+    pub(crate) fn predicted(&mut self, state: &State, transition: &Transition) {
         if let Some(next) = &mut self.next {
             transition.multiply(&mut next.transition);
             transition.apply(&mut next.noise);
         }
-        self.predicted = Some(filter.state.clone());
+        self.predicted = Some(state.clone());
     }
 
-    fn corrected<const M: usize>(
-        &mut self,
-        gain: &SMatrix<R, N, M>,
-        prediction: &Prediction<R, N, M>,
-    ) {
-        if let Some(next) = &mut self.next {
-            let h = &prediction.jacobian.0;
-            next.update -= gain * (h * next.update);
-            let left = next.update_noise - gain * (h * next.update_noise);
-            next.update_noise =
-                left - (left * h.transpose() - gain * prediction.covariance) * gain.transpose();
-            self.changed = true;
+    /// After an update with a gain.
+    pub(crate) fn corrected(&mut self, gain: &DMatrix<f64>, prediction: &Prediction) {
+        let Some(next) = &mut self.next else {
+            return;
+        };
+        for matrix in [&mut next.update, &mut next.update_noise] {
+            let by_h = prediction.by_h(matrix);
+            matrix.gemm(-1.0, gain, &by_h, 1.0);
         }
+        let left = prediction.times_ht(&next.update_noise) - gain * &prediction.r;
+        next.update_noise.gemm(-1.0, &left, &gain.transpose(), 1.0);
+        self.changed = true;
     }
 
-    fn updated(&mut self, filter: &Filter<R, N>, step_s: R) {
+    /// After all updates of a time, which is a step later than that before, s.
+    pub(crate) fn updated(
+        &mut self,
+        state: &State,
+        covariance: &DMatrix<f64>,
+        considered: &[bool],
+        step_s: f64,
+    ) {
         self.elapsed_s += step_s;
         if self.changed || self.elapsed_s >= self.interval_s {
-            self.push(filter, true);
+            self.push(state, covariance, considered, true);
         }
     }
 
-    fn restarted(&mut self, filter: &Filter<R, N>) {
-        self.push(filter, false);
+    /// The state or its covariance was replaced: what follows says nothing of what was before.
+    pub(crate) fn restarted(
+        &mut self,
+        state: &State,
+        covariance: &DMatrix<f64>,
+        considered: &[bool],
+    ) {
+        self.push(state, covariance, considered, false);
     }
-}
-
-/// Error of a state against another: the rotation vector between the attitudes, and differences.
-fn difference<R: RealField + Copy, const N: usize>(
-    state: &State<R, N>,
-    from: &State<R, N>,
-) -> SVector<R, N> {
-    let m = state.attitude * from.attitude.inverse();
-    let axis = Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]);
-    // 2 sin and 2 cos of the angle. `Rotation3::scaled_axis` has half the digits for small angles.
-    let (sine, cosine) = (axis.norm(), m.matrix().trace() - R::one());
-    let factor = if sine > real(1e-6) { sine.atan2(cosine) / sine } else { real(0.5) };
-    let mut error = state.vector - from.vector;
-    let rotation = axis * factor;
-    error.fixed_rows_mut::<3>(ATTITUDE.start()).copy_from(&rotation);
-    error
 }

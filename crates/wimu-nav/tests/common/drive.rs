@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::GRAVITY_MPS2;
 use wimu_nav::filter::Gate;
-use wimu_nav::navigator::{InVehicle, Profile, Sample, Settings, Start, VehicleErrors};
+use wimu_nav::navigator::{Navigator, Profile, Sample, Settings, Start, VehicleErrors};
 use wimu_nav::sensor::Position;
 
 use super::Random;
@@ -41,7 +41,7 @@ fn motion(t: f64) -> [[f64; 3]; 2] {
 
 /// What the vehicle did at a sample.
 pub struct Moment {
-    pub sample: Sample<f64>,
+    pub sample: Sample,
     pub attitude: Rotation3<f64>,
     pub position_m: Vector3<f64>,
     pub speed_mps: f64,
@@ -89,12 +89,12 @@ pub fn drive(lasts_s: f64, seed: u64, turned_s: f64) -> Vec<Moment> {
 }
 
 /// A navigator at the start of a drive, with the model of a vehicle or without.
-pub fn begin(drive: &[Moment], vehicle: bool) -> InVehicle<f64> {
+pub fn begin(drive: &[Moment], vehicle: bool) -> Navigator {
     let mut settings = Settings::of(Profile::Vehicle);
     settings.vehicle = vehicle.then(VehicleErrors::default);
     let still: Vec<_> = drive[..300].iter().map(|m| m.sample).collect();
     let start = Start::align(&still, true).unwrap();
-    let mut navigator = InVehicle::new(settings, &start).unwrap();
+    let mut navigator = Navigator::new(settings, &start);
     let forward = drive[0].attitude * Vector3::x();
     navigator.set_heading(forward.y.atan2(forward.x));
     navigator.set_position(drive[0].position_m);
@@ -104,7 +104,7 @@ pub fn begin(drive: &[Moment], vehicle: bool) -> InVehicle<f64> {
 /// Takes a sample, and the fix at it if there is one: its time stamp is that of the sample, so it was measured `CLOCK_S`
 /// after the sample.
 pub fn push(
-    navigator: &mut InVehicle<f64>,
+    navigator: &mut Navigator,
     drive: &[Moment],
     k: usize,
     aided: bool,

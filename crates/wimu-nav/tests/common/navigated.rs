@@ -3,15 +3,13 @@
 use super::Random;
 use super::travel::{Errors, Travel};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Sample, Settings, Solution, Start,
-};
+use wimu_nav::navigator::{Motion, Navigator, Profile, Settings, Solution, Start};
 use wimu_nav::stationarity::{Detector, Stationarity};
 
 /// How a motion is recorded and navigated.
 #[derive(Clone)]
 pub struct Navigated {
-    pub settings: Settings<f64>,
+    pub settings: Settings,
     pub rate_hz: f64,
     pub until_s: f64,
     pub gyroscope: bool,
@@ -47,7 +45,7 @@ impl Default for Navigated {
 #[derive(Clone, Debug)]
 pub struct Point {
     pub time_s: f64,
-    pub solution: Solution<f64>,
+    pub solution: Solution,
     /// Estimated minus true position, m, and velocity, m/s.
     pub position_error: Vector3<f64>,
     pub velocity_error: Vector3<f64>,
@@ -91,7 +89,7 @@ pub fn deviation(rows: &[[f64; 3]; 3]) -> f64 {
     (0..3).map(|i| rows[i][i]).sum::<f64>().sqrt()
 }
 
-fn attitude(solution: &Solution<f64>) -> Rotation3<f64> {
+fn attitude(solution: &Solution) -> Rotation3<f64> {
     let [w, x, y, z] = solution.quaternion;
     nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))
         .to_rotation_matrix()
@@ -121,30 +119,20 @@ pub fn navigate(travel: &Travel, errors: &Errors, how: Navigated, seed: u64) -> 
             sample.field_ut = None;
         }
     }
-    match how.gyroscope {
-        true => run::<Gyroscope<f64>, 40>(travel, errors, &samples, &how),
-        false => run::<NoGyroscope<f64>, 24>(travel, errors, &samples, &how),
-    }
-}
-
-fn run<M: Model<f64, N>, const N: usize>(
-    travel: &Travel,
-    errors: &Errors,
-    samples: &[Sample<f64>],
-    how: &Navigated,
-) -> Vec<Point> {
     let start = Start::align(&samples[..ALIGNMENT], how.starts_at_rest).unwrap();
-    let mut navigator = Navigator::<f64, M, N>::new(how.settings, &start).unwrap();
+    let mut settings = how.settings;
+    settings.motion = if how.gyroscope { Motion::Gyroscope } else { Motion::NoGyroscope };
+    let mut navigator = Navigator::new(settings, &start);
     // The frame of the truth.
     let x = travel.attitude(0.0) * Vector3::x();
     navigator.set_heading(x.y.atan2(x.x));
     let origin = travel.position(0.0);
-    let settings = if how.gyroscope {
+    let detector = if how.gyroscope {
         Detector::default()
     } else {
         Detector::default().without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
     };
-    let mut detector = Stationarity::new(settings);
+    let mut detector = Stationarity::new(detector);
     let rests: Vec<bool> = samples
         .iter()
         .map(|s| detector.push(&s.force_mps2, s.rate_rad_s.as_ref(), s.step_s))
@@ -181,4 +169,11 @@ fn run<M: Model<f64, N>, const N: usize>(
         });
     }
     points
+}
+
+/// Settings of a unit without a gyroscope.
+pub fn without_gyroscope() -> Settings {
+    let mut settings = Settings::default();
+    settings.motion = Motion::NoGyroscope;
+    settings
 }

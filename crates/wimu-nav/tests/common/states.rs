@@ -1,6 +1,6 @@
 //! States of a filter one by one.
 
-use nalgebra::{Matrix1, Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{DVector, Matrix1, Rotation3, SMatrix, Vector3};
 use wimu_nav::filter::Filter;
 use wimu_nav::state::{ATTITUDE, Block, POSITION, State, VELOCITY};
 
@@ -23,10 +23,7 @@ pub fn states(blocks: &[Block<3>]) -> Vec<Block<1>> {
 }
 
 /// Covariance of all states that are given; zero for the others.
-pub fn covariance<const N: usize>(
-    filter: &Filter<f64, N>,
-    states: &[Block<1>],
-) -> SMatrix<f64, N, N> {
+pub fn covariance<const N: usize>(filter: &Filter, states: &[Block<1>]) -> SMatrix<f64, N, N> {
     let mut all = SMatrix::zeros();
     for row in states {
         for column in states {
@@ -37,14 +34,14 @@ pub fn covariance<const N: usize>(
 }
 
 /// Zero covariance of the given states.
-pub fn certain<const N: usize>(filter: &mut Filter<f64, N>, states: &[Block<1>]) {
+pub fn certain(filter: &mut Filter, states: &[Block<1>]) {
     for state in states {
         filter.set_covariance(*state, &Matrix1::zeros());
     }
 }
 
 /// The state that differs by an error: the attitude by a rotation, navigation frame, the others by a sum.
-pub fn shifted<const N: usize>(state: &State<f64, N>, error: &SVector<f64, N>) -> State<f64, N> {
+pub fn shifted(state: &State, error: &DVector<f64>) -> State {
     let mut out = state.clone();
     let angle: Vector3<f64> = error.fixed_rows::<3>(0).into_owned();
     out.attitude = Rotation3::new(angle) * state.attitude;
@@ -54,8 +51,8 @@ pub fn shifted<const N: usize>(state: &State<f64, N>, error: &SVector<f64, N>) -
 }
 
 /// Error of a state against another, for small angles: the logarithm by the angle's cosine has no digits there.
-pub fn difference<const N: usize>(a: &State<f64, N>, b: &State<f64, N>) -> SVector<f64, N> {
-    let mut out = a.vector - b.vector;
+pub fn difference(a: &State, b: &State) -> DVector<f64> {
+    let mut out = &a.vector - &b.vector;
     let m = a.attitude * b.attitude.transpose();
     let angle =
         Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]) * 0.5;

@@ -154,7 +154,7 @@ impl Travel {
         until_s: f64,
         errors: &Errors,
         random: &mut Random,
-    ) -> Vec<Sample<f64>> {
+    ) -> Vec<Sample> {
         let step_s = 1.0 / rate_hz;
         let count = (until_s * rate_hz).round() as usize;
         let one = Matrix3::identity();
@@ -200,7 +200,7 @@ pub struct Errors {
 
 impl Errors {
     /// Noise only.
-    pub fn noise(errors: &ImuErrors<f64>) -> Self {
+    pub fn noise(errors: &ImuErrors) -> Self {
         Self {
             force_bias: Vector3::zeros(),
             rate_bias: Vector3::zeros(),
@@ -214,7 +214,7 @@ impl Errors {
     }
 
     /// Drawn from the standard deviations that a filter assumes.
-    pub fn drawn(errors: &ImuErrors<f64>, random: &mut Random) -> Self {
+    pub fn drawn(errors: &ImuErrors, random: &mut Random) -> Self {
         let mut matrix = |[scale, misalignment]: [f64; 2]| {
             Matrix3::from_fn(|r, c| random.normal() * if r == c { scale } else { misalignment })
         };

@@ -289,7 +289,7 @@ fn filtered<const M: usize>(
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };
-    let filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
+    let filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
     let mut offset = calibration.offset_of(0);
     let uses = |sensor: usize| calibration.uses(sensor);
     Ok(followed(recording, filter, zupt, &uses, |filter, index, state| {
@@ -305,10 +305,10 @@ fn filtered<const M: usize>(
 /// What a filter knows after each sample of a recording, and what it met on the way; `output` is told the state before.
 pub(super) fn followed<const M: usize>(
     recording: &ArrayRecording,
-    mut filter: ArrayFilter<f64, M>,
+    mut filter: ArrayFilter<M>,
     zupt: Zupt,
     uses: &dyn Fn(usize) -> bool,
-    mut output: impl FnMut(&mut ArrayFilter<f64, M>, usize, Option<&ArrayState<f64>>) -> [f64; M],
+    mut output: impl FnMut(&mut ArrayFilter<M>, usize, Option<&ArrayState<f64>>) -> [f64; M],
 ) -> (Vec<ArrayState<f64>>, Vec<String>) {
     let mut states = Vec::with_capacity(recording.times_s.len());
     let (mut gaps, mut backwards, mut blind) = (0_usize, 0_usize, 0_usize);

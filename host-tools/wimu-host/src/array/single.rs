@@ -104,7 +104,7 @@ fn navigate<const M: usize>(
         delay_sd_s: known.delay_sd_s,
         ..ArrayConfig::default()
     };
-    let filter = ArrayFilter::<f64, M>::new(axes, config).map_err(refused)?;
+    let filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
     let (states, mut remarks) =
         followed(recording, filter, zupt, &|_| true, |_, index, _| output::<M>(recording, index));
     remarks.push(format!(

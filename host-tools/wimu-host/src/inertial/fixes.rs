@@ -4,16 +4,15 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_nav::filter::{Gate, Innovation};
-use wimu_nav::navigator::{Model, Navigator};
+use wimu_nav::navigator::Navigator;
 use wimu_nav::sensor::{Heading, Position, Velocity};
-use wimu_nav::smoother::Recorder;
 
 use super::StartPose;
 use super::segments::Segments;
 use super::suspects::{Lag, Suspects};
 use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
 use crate::digits::significant;
-use crate::localization::{AnchorStates, RangeSample, Ranging};
+use crate::localization::{AnchorStates, Model, RangeSample, Ranging};
 use crate::motion::other_clock;
 use crate::plural::counted;
 use crate::stats::norm;
@@ -344,17 +343,17 @@ impl Aiding {
     }
 
     /// Updates with the fixes up to a time, s.
-    pub fn update<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
+    pub fn update(
         &mut self,
         fixes: &Fixes,
         time_s: f64,
-        navigator: &mut Navigator<f64, M, N, L>,
+        navigator: &mut Navigator,
         segments: &mut Segments,
     ) {
         let next = fixes.fixes.partition_point(|fix| fix.time_s < self.from_s);
         for fix in fixes.fixes[next..].iter().take_while(|fix| fix.time_s <= time_s) {
             if fix.range_m.is_some() {
-                self.take_range(fix, fixes, navigator);
+                self.take_range(fix, time_s - fix.time_s, fixes, navigator);
                 segments.locate();
             } else {
                 let age_s = time_s - fix.time_s;
@@ -374,34 +373,28 @@ impl Aiding {
         self.from_s = time_s.next_up();
     }
 
-    fn take_range<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
-        &mut self,
-        fix: &Fix,
-        fixes: &Fixes,
-        navigator: &mut Navigator<f64, M, N, L>,
-    ) {
+    fn take_range(&mut self, fix: &Fix, age_s: f64, fixes: &Fixes, navigator: &mut Navigator) {
         let states = self.anchors.as_mut().zip(fixes.ranging.as_ref());
         let (Some((states, ranging)), Some(range)) = (states, fix.range()) else {
             return;
         };
-        let Some(found) = states.update(ranging, range, fixes.lever_arm_m, navigator) else {
-            return;
-        };
+        let model = Model { lever_arm_m: fixes.lever_arm_m, ..ranging.model };
+        let found = states.update(&model, range, age_s, navigator);
         self.log_likelihood += found.log_likelihood;
         let believed = found.weight >= LINE_OF_SIGHT;
         self.ranges.count(believed);
         self.suspects.see(&range, believed);
-        if states.recovers(ranging, navigator) {
+        if states.recovers(&ranging.positions_m(), &model, navigator) {
             self.jumps.push(fix.time_s);
         }
     }
 
-    fn is_accepted<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
+    fn is_accepted(
         &mut self,
         fix: &Fix,
         age_s: f64,
         lever_arm_m: [f64; 3],
-        navigator: &mut Navigator<f64, M, N, L>,
+        navigator: &mut Navigator,
         segments: &mut Segments,
     ) -> bool {
         let mut accepted = true;
@@ -443,7 +436,7 @@ impl Aiding {
         accepted
     }
 
-    fn count(&mut self, innovation: &Innovation<f64>) -> bool {
+    fn count(&mut self, innovation: &Innovation) -> bool {
         self.log_likelihood += innovation.log_likelihood.max(OUTLIER);
         innovation.accepted
     }
@@ -469,8 +462,8 @@ const VEHICLE_MPS2: f64 = 2.0;
 const FIRST_RANGES_S: f64 = 1.0;
 
 /// Moves a navigator to a position in the frame of fixes, m, with its standard deviation, at a heading, rad.
-pub(super) fn place<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
-    navigator: &mut Navigator<f64, M, N, L>,
+pub(super) fn place(
+    navigator: &mut Navigator,
     (position, position_sd): (Vector3<f64>, f64),
     velocity: Option<(Vector3<f64>, f64)>,
     heading: f64,

@@ -1,7 +1,6 @@
 //! A path whose samples and fixes arrive, at several headings until fixes or ranges rule out all but one.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_nav::navigator::Model;
 use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::fixes::{Aided, Fixes};
@@ -18,56 +17,28 @@ const ANY_HEADING: f64 = 1.81;
 
 impl Unit<'_> {
     /// The path from the first sample on.
-    pub fn begin<M, const N: usize>(
-        &self,
-        choice: &Choice,
-        method: Method,
-    ) -> Result<Box<Headings<M, N>>>
-    where
-        M: Model<f64, N> + Clone,
-    {
+    pub fn begin(&self, choice: &Choice, method: Method) -> Result<Headings> {
         self.accepts(choice, method)?;
         let samples: Vec<_> = self.samples.iter().map(sample).collect();
         let inputs = self.inputs(&samples, choice, method);
         let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
-        let mut start = self.start::<M, N>(&samples, &rests, choice)?;
+        let mut start = self.start(&samples, &rests, choice)?;
         let at_rest = self.first_rest(&rests).is_some();
-        let ranging = choice.fixes.ranging.as_ref();
-        let anchors = ranging.map(|ranging| AnchorStates::claim(ranging, &mut start));
-        let anchors = anchors.transpose().map_err(|error| {
-            let remedy = "give at most 12 anchors beside a board";
-            Code::DataRefused.error(format!("too many anchors: {error}"), remedy)
-        })?;
-        Ok(Box::new(Headings {
+        let anchors = choice.fixes.ranging.as_ref().map(|ranging| ranging.claim(&mut start));
+        Ok(Headings {
             tracks: vec![Track::new(start, choice, self.times_s[0], at_rest)],
             placed: choice.start.is_some() && anchors.is_none(),
             anchors,
             given: choice.start,
             limit_m: choice.limit_m,
             jumped_s: None,
-        }))
+        })
     }
 }
 
-/// A path whose samples and fixes arrive.
-pub(super) trait Follow {
-    /// Takes samples.
-    fn advance(&mut self, inputs: &[Input], fixes: &Fixes);
-
-    /// The point after further samples, which are not taken.
-    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint>;
-
-    fn findings(&self, fixes: &Fixes) -> Vec<Problem>;
-
-    fn headings(&self) -> usize;
-
-    /// What happened to fixes and ranges.
-    fn aided(&self) -> [Aided; 2];
-}
-
 /// A path at several headings, until fixes rule out all but one.
-pub(super) struct Headings<M, const N: usize> {
-    tracks: Vec<Track<M, N>>,
+pub(super) struct Headings {
+    tracks: Vec<Track>,
     /// States of the anchors of ranges.
     anchors: Option<AnchorStates>,
     /// Pose at the start in the frame of the anchors.
@@ -79,9 +50,9 @@ pub(super) struct Headings<M, const N: usize> {
     jumped_s: Option<f64>,
 }
 
-impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
-    fn best(&self) -> Option<&Track<M, N>> {
-        let likelihood = |track: &&Track<M, N>| track.aiding.log_likelihood;
+impl Headings {
+    fn best(&self) -> Option<&Track> {
+        let likelihood = |track: &&Track| track.aiding.log_likelihood;
         let ordered = |a: &&_, b: &&_| likelihood(a).total_cmp(&likelihood(b));
         self.tracks.iter().max_by(ordered)
     }
@@ -107,23 +78,23 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
     }
 
     /// Whether all headings have the position of the best one to the limit, also after the time of further samples.
-    fn agree(&self, best: &Track<M, N>, inputs: &[Input]) -> bool {
+    fn agree(&self, best: &Track, inputs: &[Input]) -> bool {
         let ends = inputs.first().zip(inputs.last());
         let ahead_s = ends.map_or(0.0, |(first, last)| last.time_s - first.time_s);
-        let at = |track: &Track<M, N>| {
+        let at = |track: &Track| {
             let state = &track.navigator.filter().state;
             state.get(POSITION) + state.get(VELOCITY) * ahead_s
         };
-        let apart = |track: &Track<M, N>| (at(track) - at(best)).norm();
+        let apart = |track: &Track| (at(track) - at(best)).norm();
         self.tracks.iter().all(|track| apart(track) <= self.limit_m)
     }
 
     /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
     fn prune(&mut self) {
         self.tracks.sort_by(|a, b| b.aiding.log_likelihood.total_cmp(&a.aiding.log_likelihood));
-        let mut kept: Vec<Track<M, N>> = Vec::new();
+        let mut kept: Vec<Track> = Vec::new();
         for track in self.tracks.drain(..) {
-            let same = |other: &Track<M, N>| {
+            let same = |other: &Track| {
                 let apart = track.navigator.heading() - other.navigator.heading();
                 let apart = apart.sin().atan2(apart.cos()).abs();
                 let covariance = other.navigator.solution().attitude_covariance;
@@ -143,10 +114,9 @@ impl<M: Model<f64, N> + Clone, const N: usize> Headings<M, N> {
         }
         self.tracks = kept;
     }
-}
 
-impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
-    fn advance(&mut self, inputs: &[Input], fixes: &Fixes) {
+    /// Takes samples.
+    pub fn advance(&mut self, inputs: &[Input], fixes: &Fixes) {
         for input in inputs {
             if !self.placed {
                 let positions = fixes.positions(input.time_s, self.given.as_ref());
@@ -163,7 +133,8 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
         }
     }
 
-    fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint> {
+    /// The point after further samples, which are not taken.
+    pub fn ahead(&self, inputs: &[Input], fixes: &Fixes) -> Option<PathPoint> {
         let mut track = self.best()?.clone();
         let unplaced = Fixes::default();
         let fixes = if self.placed { fixes } else { &unplaced };
@@ -180,16 +151,19 @@ impl<M: Model<f64, N> + Clone, const N: usize> Follow for Headings<M, N> {
         Some(point)
     }
 
-    fn headings(&self) -> usize {
+    /// Headings that are possible.
+    pub fn headings(&self) -> usize {
         self.tracks.len()
     }
 
-    fn aided(&self) -> [Aided; 2] {
-        let of = |track: &Track<M, N>| [track.aiding.fixes, track.aiding.ranges];
+    /// What happened to fixes and ranges.
+    pub fn aided(&self) -> [Aided; 2] {
+        let of = |track: &Track| [track.aiding.fixes, track.aiding.ranges];
         self.best().map_or_else(Default::default, of)
     }
 
-    fn findings(&self, fixes: &Fixes) -> Vec<Problem> {
+    /// What was noticed.
+    pub fn findings(&self, fixes: &Fixes) -> Vec<Problem> {
         let mut found = Vec::new();
         if let Some(jumped_s) = self.jumped_s {
             let whose = fixes.ranging.as_ref().map_or("fixes", |_| "anchors");

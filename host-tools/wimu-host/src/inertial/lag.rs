@@ -1,6 +1,6 @@
 //! Delay of the angular rate against the specific force, which no single innovation shows.
 
-use wimu_nav::navigator::{Gyroscope, Profile, Sample};
+use wimu_nav::navigator::{Profile, Sample};
 
 use super::segments::IMPROBABLE;
 use super::track::Track;
@@ -48,10 +48,10 @@ impl Unit<'_> {
     fn mean_square(&self, delay_s: f64, choice: &Choice) -> Option<(f64, usize)> {
         let end = self.times_s.partition_point(|t| *t < self.times_s[0] + SHOWN_S);
         let moved = self.advanced(delay_s, end);
-        let samples: Vec<Sample<f64>> = moved.iter().map(sample).collect();
+        let samples: Vec<Sample> = moved.iter().map(sample).collect();
         let inputs = self.inputs(&samples, choice, Method::Strapdown);
         let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
-        let start = self.start::<Gyroscope<f64>, 40>(&samples, &rests, choice).ok()?;
+        let start = self.start(&samples, &rests, choice).ok()?;
         let at_rest = self.first_rest(&rests).is_some();
         let mut track = Track::new(start, choice, self.times_s[0], at_rest);
         for input in &inputs {

@@ -1,11 +1,11 @@
 //! Navigation of a stream.
 
-use wimu_nav::navigator::{Gyroscope, NoGyroscope, Profile, Sample};
+use wimu_nav::navigator::{Profile, Sample};
 use wimu_nav::stance::AHEAD_S;
 use wimu_nav::stationarity::Detector;
 
 use super::fixes::{Aided, Fix};
-use super::headings::Follow;
+use super::headings::Headings;
 use super::sense::{Senses, clipped};
 use super::track::{Input, counted_findings};
 use super::unit::{OnceEachField, Unit, detector, noise_mps2, sample};
@@ -63,14 +63,14 @@ struct Begun {
     senses: Senses,
     noise_mps2: f64,
     gravity_mps2: f64,
-    path: Box<dyn Follow + Send>,
+    path: Headings,
 }
 
 impl Live {
     /// Before the first sample. `of` has the full scale and the calibration of the sensors; fixes may arrive `delay_s` late.
     pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
         let window_s = match choice.profile {
-            Profile::Foot => Detector::<f64>::foot().window_s + AHEAD_S,
+            Profile::Foot => Detector::foot().window_s + AHEAD_S,
             profile => detector(profile).window_s,
         };
         Self {
@@ -91,7 +91,7 @@ impl Live {
     /// repeated.
     ///
     /// # Errors
-    /// `data_refused`, three seconds after the first sample: these do not show gravity, or there are too many anchors.
+    /// `data_refused`, three seconds after the first sample: these do not show gravity.
     pub fn push(&mut self, time_s: f64, sample: UnitSample) -> Result<()> {
         let mut values = sample.force_mps2.into_iter().chain([time_s]);
         if !values.all(f64::is_finite) {
@@ -227,21 +227,13 @@ impl Live {
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
         let samples = &recording.samples;
         let unit = Unit::of(recording, samples, &senses, &senses.clipped, noise_mps2);
-        let (choice, ranges) = (&self.choice, self.choice.fixes.ranging.is_some());
-        let path: Box<dyn Follow + Send> = match (method, ranges) {
-            (Method::Strapdown, true) => unit.begin::<Gyroscope<f64>, 64>(choice, method)?,
-            (Method::Strapdown, false) if choice.profile == Profile::Vehicle => {
-                unit.begin::<Gyroscope<f64>, 51>(choice, method)?
-            }
-            (Method::Strapdown, false) => unit.begin::<Gyroscope<f64>, 40>(choice, method)?,
-            _ => unit.begin::<NoGyroscope<f64>, 24>(choice, method)?,
-        };
+        let path = unit.begin(&self.choice, method)?;
         let gravity_mps2 = unit.gravity_mps2;
         self.begun = Some(Begun { method, senses, noise_mps2, gravity_mps2, path });
         Ok(())
     }
 
-    fn inputs<'s>(&self, samples: &'s [Sample<f64>], begun: &Begun) -> Vec<Input<'s>> {
+    fn inputs<'s>(&self, samples: &'s [Sample], begun: &Begun) -> Vec<Input<'s>> {
         let all = &self.recording.samples;
         let (senses, clipped) = (&begun.senses, clipped(all));
         let unit = Unit::of(&self.recording, all, senses, &clipped, begun.noise_mps2);

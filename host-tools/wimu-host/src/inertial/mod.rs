@@ -53,6 +53,7 @@ pub use moves::Move;
 pub use path::{InertialPath, PathPoint};
 pub(crate) use smooth::Tape;
 pub use truth::consistency;
+pub(crate) use unit::sample;
 pub use wimu_nav::navigator::Profile;
 
 use wimu_nav::navigator::Rests;

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_nav::navigator::{Gyroscope, Navigator, Profile, Sample, Start};
+use wimu_nav::navigator::{Motion, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
 use super::smooth::Change;
@@ -84,7 +84,7 @@ fn length(displacement: &Vector3<f64>, covariance: &Matrix3<f64>) -> (f64, f64) 
 /// The moves of a unit: none if rests are not used.
 pub(super) fn moves(
     unit: &Unit,
-    samples: &[Sample<f64>],
+    samples: &[Sample],
     rests: &[bool],
     choice: &Choice,
     method: Method,
@@ -116,7 +116,7 @@ fn long_rests(times_s: &[f64], rests: &[bool]) -> Vec<Range<usize>> {
 /// accepts, or that is certain.
 fn one_move(
     unit: &Unit,
-    samples: &[Sample<f64>],
+    samples: &[Sample],
     rests: &[Range<usize>],
     at: usize,
     choice: &Choice,
@@ -128,9 +128,10 @@ fn one_move(
     let begin = unit.times_s[first.end - 1] - ALIGNMENT_S;
     let begin = first.start.max(unit.times_s.partition_point(|t| *t < begin));
     let start = Start::align(&samples[begin..first.end], true)?;
-    let mut navigator =
-        unit.navigator::<Gyroscope<f64>, 40>(unit.settings(profile, choice), &start).ok()?;
-    let push = |navigator: &mut Navigator<f64, Gyroscope<f64>, 40>, k: usize, rest: bool| {
+    let mut settings = unit.settings(profile, choice);
+    settings.motion = Motion::Gyroscope;
+    let mut navigator = unit.navigator(settings, &Start { field_ut: None, ..start });
+    let push = |navigator: &mut Navigator, k: usize, rest: bool| {
         let rate_rad_s = if gyroscope { samples[k].rate_rad_s } else { Some(Vector3::zeros()) };
         let sample = Sample { rate_rad_s, field_ut: None, ..samples[k] };
         if unit.clipped.binary_search(&k).is_ok() {

@@ -50,7 +50,7 @@ pub struct PathPoint {
 
 impl PathPoint {
     /// What a filter estimates at a time, s.
-    pub(crate) fn of<const N: usize>(time_s: f64, filter: &Filter<f64, N>) -> Self {
+    pub(crate) fn of(time_s: f64, filter: &Filter) -> Self {
         let deviation = |block| {
             let variance = filter.covariance::<3>(block).diagonal();
             variance.map(|v| v.max(0.0).sqrt()).into()

@@ -55,9 +55,9 @@ struct Segment {
 #[derive(Clone, Debug)]
 pub(super) struct Segments {
     ended: Vec<Segment>,
-    open: Consistency<f64>,
+    open: Consistency,
     /// Of all rests and stances.
-    all: Consistency<f64>,
+    all: Consistency,
     /// Squared innovations of fixes over the upper quartile of their distribution.
     fixes: Vec<f64>,
     from_s: f64,
@@ -81,7 +81,7 @@ impl Segments {
     }
 
     /// An innovation of a fix, used or not.
-    pub fn see_fix(&mut self, innovation: &Innovation<f64>) {
+    pub fn see_fix(&mut self, innovation: &Innovation) {
         if innovation.statistic.is_finite() {
             self.fixes.push(innovation.statistic / quartile_chi_square(innovation.dof));
         }
@@ -93,7 +93,7 @@ impl Segments {
     }
 
     /// The next sample with its innovations of rests and stances, and whether the unit rests there.
-    pub fn see(&mut self, time_s: f64, found: &Consistency<f64>, rests: bool) {
+    pub fn see(&mut self, time_s: f64, found: &Consistency, rests: bool) {
         let is_tested = self.open.checks() + self.fixes.len() > 0 && found.checks() == 0 && !rests;
         if is_tested && time_s - self.from_s >= SEGMENT_S {
             self.end(time_s);

@@ -1,10 +1,8 @@
 //! The smoother over a recording: the log of its navigator, and the points that it corrects.
 
-use nalgebra::{Matrix3, Quaternion, SMatrix, UnitQuaternion, Vector3};
-use wimu_nav::filter::Filter;
-use wimu_nav::process::Transition;
-use wimu_nav::sensor::Prediction;
-use wimu_nav::smoother::{Epoch, Log, Recorder, Smoothed};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use wimu_nav::navigator::Navigator;
+use wimu_nav::smoother::{Epoch, Log, Smoothed};
 use wimu_nav::state::{ATTITUDE, Block, POSITION, VELOCITY};
 
 use super::PathPoint;
@@ -26,56 +24,52 @@ pub(crate) struct Change {
     pub covariance: Matrix3<f64>,
 }
 
-/// Records a navigator, or nothing.
-pub(crate) struct Tape<const N: usize> {
-    log: Option<Log<f64, N, Vec<Epoch<f64, N>>>>,
+/// What a navigator records, or nothing.
+pub(crate) struct Tape {
     /// Sample of each epoch of the log.
     samples: Vec<usize>,
-    block: usize,
     /// Samples between which the covariance of the displacement is wanted.
     spans: Vec<(usize, usize)>,
     pub changes: Vec<Change>,
     pub contradictions: usize,
 }
 
-impl<const N: usize> Tape<N> {
-    pub fn new(smooth: bool, spans: Vec<(usize, usize)>) -> Self {
-        Self {
-            log: smooth.then(|| Log::new(Vec::new(), INTERVAL_S)),
-            samples: Vec::new(),
-            block: BLOCK_BYTES / size_of::<Epoch<f64, N>>(),
-            spans,
-            changes: Vec::new(),
-            contradictions: 0,
+impl Tape {
+    pub fn new(smooth: bool, spans: Vec<(usize, usize)>, navigator: &mut Navigator) -> Self {
+        if smooth {
+            navigator.record(Log::new(INTERVAL_S));
         }
+        Self { samples: Vec::new(), spans, changes: Vec::new(), contradictions: 0 }
     }
 
     /// After the point of a sample: which epochs are its own. Smooths when there are enough of them.
-    pub fn mark(&mut self, points: &mut [PathPoint]) {
-        let Some(log) = &mut self.log else {
+    pub fn mark(&mut self, navigator: &mut Navigator, points: &mut [PathPoint]) {
+        let states = navigator.filter().states();
+        let Some(log) = navigator.log_mut() else {
             return;
         };
-        self.samples.resize(log.epochs().len(), points.len() - 1);
-        if log.epochs().len() >= self.block {
-            let cut = ((1.0 - OVERLAP) * self.block as f64) as usize;
-            let kept = log.epochs()[cut..].to_vec();
-            let epochs = std::mem::replace(log.epochs_mut(), kept);
+        self.samples.resize(log.epochs.len(), points.len() - 1);
+        let block = BLOCK_BYTES / Epoch::bytes(states);
+        if log.epochs.len() >= block {
+            let cut = ((1.0 - OVERLAP) * block as f64) as usize;
+            let kept = log.epochs[cut..].to_vec();
+            let epochs = std::mem::replace(&mut log.epochs, kept);
             self.smooth(epochs, cut, points);
             self.samples.drain(..cut);
         }
     }
 
     /// After the last sample.
-    pub fn finish(&mut self, points: &mut [PathPoint]) {
-        if let Some(log) = self.log.take() {
-            let epochs = log.into_epochs();
+    pub fn finish(&mut self, navigator: &mut Navigator, points: &mut [PathPoint]) {
+        if let Some(log) = navigator.log_mut() {
+            let epochs = std::mem::take(&mut log.epochs);
             let end = epochs.len().saturating_sub(1);
             self.smooth(epochs, end, points);
         }
     }
 
     /// Smooths epochs, and corrects the points up to the sample of one of them.
-    fn smooth(&mut self, mut epochs: Vec<Epoch<f64, N>>, end: usize, points: &mut [PathPoint]) {
+    fn smooth(&mut self, mut epochs: Vec<Epoch>, end: usize, points: &mut [PathPoint]) {
         let smoothed = Smoothed::of(&mut epochs);
         self.contradictions += smoothed.contradictions();
         let spans = self.spans.iter();
@@ -100,57 +94,23 @@ impl<const N: usize> Tape<N> {
 }
 
 /// Corrects a point, and replaces its covariance, a part of the interval after an epoch.
-fn correct<const N: usize>(
-    point: &mut PathPoint,
-    smoothed: &Smoothed<f64, N>,
-    epoch: usize,
-    part: f64,
-) {
-    let after = smoothed.corrections(epoch)[1];
-    let error = after + (smoothed.corrections(epoch + 1)[0] - after) * part;
-    let of = |block: Block<3>| error.fixed_rows::<3>(block.start()).into_owned();
+fn correct(point: &mut PathPoint, smoothed: &Smoothed, epoch: usize, part: f64) {
+    let error = |block: Block<3>| {
+        let after = smoothed.corrections(epoch, block)[1];
+        after + (smoothed.corrections(epoch + 1, block)[0] - after) * part
+    };
     let variance = |block: Block<3>| {
         let [now, next] = [epoch, epoch + 1].map(|k| smoothed.covariance(k, block));
         now + (next - now) * part
     };
     let deviation = |block| variance(block).diagonal().map(|v: f64| v.max(0.0).sqrt()).into();
-    point.position_m = (Vector3::from(point.position_m) + of(POSITION)).into();
-    point.velocity_mps = (Vector3::from(point.velocity_mps) + of(VELOCITY)).into();
+    point.position_m = (Vector3::from(point.position_m) + error(POSITION)).into();
+    point.velocity_mps = (Vector3::from(point.velocity_mps) + error(VELOCITY)).into();
     let [w, x, y, z] = point.quaternion;
     let attitude = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    let attitude = UnitQuaternion::from_scaled_axis(of(ATTITUDE)) * attitude;
+    let attitude = UnitQuaternion::from_scaled_axis(error(ATTITUDE)) * attitude;
     point.quaternion = [attitude.w, attitude.i, attitude.j, attitude.k];
     point.covariance_m2 = variance(POSITION).into();
     point.velocity_sd_mps = deviation(VELOCITY);
     point.attitude_sd_rad = deviation(ATTITUDE);
-}
-
-impl<const N: usize> Recorder<f64, N> for Tape<N> {
-    fn predicted(&mut self, filter: &Filter<f64, N>, transition: &Transition<f64, N>) {
-        if let Some(log) = &mut self.log {
-            log.predicted(filter, transition);
-        }
-    }
-
-    fn corrected<const M: usize>(
-        &mut self,
-        gain: &SMatrix<f64, N, M>,
-        prediction: &Prediction<f64, N, M>,
-    ) {
-        if let Some(log) = &mut self.log {
-            log.corrected(gain, prediction);
-        }
-    }
-
-    fn updated(&mut self, filter: &Filter<f64, N>, step_s: f64) {
-        if let Some(log) = &mut self.log {
-            log.updated(filter, step_s);
-        }
-    }
-
-    fn restarted(&mut self, filter: &Filter<f64, N>) {
-        if let Some(log) = &mut self.log {
-            log.restarted(filter);
-        }
-    }
 }

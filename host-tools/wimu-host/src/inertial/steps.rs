@@ -20,7 +20,7 @@ const PART: f64 = 0.7;
 /// Number of the steps between stances, if the motion is that of a foot.
 pub(super) fn steps(
     times_s: &[f64],
-    samples: &[Sample<f64>],
+    samples: &[Sample],
     stances: &[Range<usize>],
 ) -> Option<usize> {
     let lasts_s = |run: &Range<usize>| times_s[run.end - 1] - times_s[run.start];
@@ -38,7 +38,7 @@ pub(super) fn steps(
     (steps >= STEPS && in_steps_s > PART * between_s).then_some(steps)
 }
 
-fn is_swing(samples: &[Sample<f64>]) -> bool {
+fn is_swing(samples: &[Sample]) -> bool {
     let mut rates = samples.iter().filter_map(|sample| sample.rate_rad_s.as_ref());
     let excess = |force: &Vector3<f64>| (force.norm() - GRAVITY_MPS2).abs();
     rates.any(|rate| rate.norm() > SWING_RAD_S)

@@ -1,8 +1,7 @@
 //! A navigator along the samples of a unit, with what aids it.
 
 use nalgebra::Vector3;
-use wimu_nav::navigator::{Model, Navigator, Profile, Sample, SampleFault};
-use wimu_nav::smoother::Recorder;
+use wimu_nav::navigator::{Navigator, Profile, Sample, SampleFault};
 
 use super::fixes::{self, Aiding, Fixes};
 use super::segments::Segments;
@@ -20,7 +19,7 @@ const MAGNET: f64 = 0.2;
 /// A sample with what is known of the motion at its time.
 pub(super) struct Input<'a> {
     pub time_s: f64,
-    pub sample: &'a Sample<f64>,
+    pub sample: &'a Sample,
     pub resting: bool,
     /// Standard deviation of the velocity of a foot in a stance, m/s.
     pub stance_mps: Option<f64>,
@@ -30,8 +29,8 @@ pub(super) struct Input<'a> {
 
 /// A navigator with the fixes up to its time.
 #[derive(Clone, Debug)]
-pub(super) struct Track<M, const N: usize, L = ()> {
-    pub navigator: Navigator<f64, M, N, L>,
+pub(super) struct Track {
+    pub navigator: Navigator,
     pub aiding: Aiding,
     pub segments: Segments,
     profile: Profile,
@@ -46,14 +45,9 @@ pub(super) struct Track<M, const N: usize, L = ()> {
     not_finite: usize,
 }
 
-impl<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>> Track<M, N, L> {
+impl Track {
     /// At the first sample, at `time_s`.
-    pub fn new(
-        navigator: Navigator<f64, M, N, L>,
-        choice: &Choice,
-        time_s: f64,
-        at_rest: bool,
-    ) -> Self {
+    pub fn new(navigator: Navigator, choice: &Choice, time_s: f64, at_rest: bool) -> Self {
         Self {
             navigator,
             aiding: Aiding::from(time_s),

@@ -4,11 +4,9 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
-    Gyroscope, Model, Navigator, NoGyroscope, Profile, Rests, Sample, Settings, Start,
-    VehicleErrors,
+    Motion, Navigator, Profile, Rests, Sample, Settings, Start, VehicleErrors,
 };
 use wimu_nav::stance::stances;
-use wimu_nav::state::LayoutFull;
 use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::fixes::{Fix, Fixes};
@@ -105,52 +103,17 @@ impl<'a> Unit<'a> {
     /// `data_refused`: nothing to align with, or a foot without a gyroscope.
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
         self.accepts(choice, method)?;
-        match method {
-            Method::Strapdown if choice.profile == Profile::Vehicle => {
-                self.follow::<Gyroscope<f64>, 51>(choice, method)
-            }
-            Method::Strapdown => self.follow::<Gyroscope<f64>, 40>(choice, method),
-            _ => self.follow::<NoGyroscope<f64>, 24>(choice, method),
-        }
-    }
-
-    /// Whether the sensors are those that the choice needs.
-    ///
-    /// # Errors
-    /// `data_refused`: a foot, or ranges, without a gyroscope.
-    pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
-        let needed = match choice.profile {
-            Profile::Foot => Some("--profile foot"),
-            _ => choice.fixes.ranging.as_ref().map(|_| "--ranges beside a board"),
-        };
-        if let (Some(what), true) = (needed, method != Method::Strapdown) {
-            let message = format!("{what} needs a gyroscope");
-            let remedy = match choice.profile {
-                Profile::Foot => "record the angular rate, or use another profile",
-                _ => "navigate the ranges alone: `wimu navigate RANGES.csv --anchors ANCHORS.csv`",
-            };
-            return Err(Code::DataRefused.error(message, remedy).at(self.name));
-        }
-        Ok(())
-    }
-
-    fn follow<M: Model<f64, N> + Clone, const N: usize>(
-        &self,
-        choice: &Choice,
-        method: Method,
-    ) -> Result<InertialPath> {
-        let samples: Vec<Sample<f64>> = self.samples.iter().map(sample).collect();
+        let samples: Vec<Sample> = self.samples.iter().map(sample).collect();
         let inputs = self.inputs(&samples, choice, method);
         let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
         let mut moves = moves(self, &samples, &rests, choice, method);
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (score_navigation).
         let smooth = choice.smooth && method == Method::Strapdown;
         let spans = moves.iter().map(|one| one.span(self.times_s));
-        let tape = Tape::new(smooth, spans.collect());
         choice.fixes.within(self.times_s).map_err(|error| error.at(self.name))?;
         let fixes = self.fixes(choice);
         let at_rest_first = self.first_rest(&rests).is_some();
-        let start = self.start::<M, N>(&samples, &rests, choice)?;
+        let start = self.start(&samples, &rests, choice)?;
         let shown = choice.fixes.origin().filter(|_| choice.start.is_none());
         let moving = choice.fixes.velocity(self.times_s[0]).filter(|_| !at_rest_first);
         let placed = shown.map(|fix| {
@@ -158,7 +121,8 @@ impl<'a> Unit<'a> {
             (fix.position(), heading)
         });
         let begin_s = self.times_s[0];
-        let mut track = Track::new(start.recorded(tape), choice, begin_s, at_rest_first);
+        let mut track = Track::new(start, choice, begin_s, at_rest_first);
+        let mut tape = Tape::new(smooth, spans.collect(), &mut track.navigator);
         if let Some((position, heading)) = placed {
             track.place(position, moving, heading);
         }
@@ -166,7 +130,7 @@ impl<'a> Unit<'a> {
         let mut points = Vec::with_capacity(samples.len());
         for input in &inputs {
             points.push(track.step(input, &fixes));
-            track.navigator.recorder_mut().mark(&mut points);
+            tape.mark(&mut track.navigator, &mut points);
         }
         let origin = track.origin;
         let from = origin.unwrap_or(0);
@@ -174,8 +138,7 @@ impl<'a> Unit<'a> {
         findings.extend(track.findings(None));
         findings.extend(track.aiding.outside(fixes.fixes.len()));
         let aided = [track.aiding.fixes, track.aiding.ranges];
-        let mut tape = track.navigator.into_recorder();
-        tape.finish(&mut points);
+        tape.finish(&mut track.navigator, &mut points);
         smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
         findings.extend(track.segments.finish(&mut points, &mut moves));
         for point in &mut points {
@@ -219,10 +182,30 @@ impl<'a> Unit<'a> {
         Ok(path)
     }
 
+    /// Whether the sensors are those that the choice needs.
+    ///
+    /// # Errors
+    /// `data_refused`: a foot, or ranges, without a gyroscope.
+    pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
+        let needed = match choice.profile {
+            Profile::Foot => Some("--profile foot"),
+            _ => choice.fixes.ranging.as_ref().map(|_| "--ranges beside a board"),
+        };
+        if let (Some(what), true) = (needed, method != Method::Strapdown) {
+            let message = format!("{what} needs a gyroscope");
+            let remedy = match choice.profile {
+                Profile::Foot => "record the angular rate, or use another profile",
+                _ => "navigate the ranges alone: `wimu navigate RANGES.csv --anchors ANCHORS.csv`",
+            };
+            return Err(Code::DataRefused.error(message, remedy).at(self.name));
+        }
+        Ok(())
+    }
+
     /// The samples with what windows about them show of the motion.
     pub fn inputs<'s>(
         &self,
-        samples: &'s [Sample<f64>],
+        samples: &'s [Sample],
         choice: &Choice,
         method: Method,
     ) -> Vec<Input<'s>> {
@@ -252,9 +235,9 @@ impl<'a> Unit<'a> {
     }
 
     /// The heading at the start that explains the fixes of the first minutes best, rad.
-    fn heading<M: Model<f64, N> + Clone, const N: usize>(
+    fn heading(
         &self,
-        start: &Navigator<f64, M, N>,
+        start: &Navigator,
         inputs: &[Input],
         choice: &Choice,
         (fix, velocity): (&Fix, Option<(Vector3<f64>, f64)>),
@@ -275,7 +258,7 @@ impl<'a> Unit<'a> {
     }
 
     /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.
-    fn rests(&self, samples: &[Sample<f64>], choice: &Choice, method: Method) -> Vec<bool> {
+    fn rests(&self, samples: &[Sample], choice: &Choice, method: Method) -> Vec<bool> {
         if let Some(given) = &choice.rests_s {
             let inside = |t: &f64| given.iter().any(|rest| rest.contains(t));
             return self.times_s.iter().map(inside).collect();
@@ -290,14 +273,14 @@ impl<'a> Unit<'a> {
     }
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s.
-    fn stances(&self, samples: &[Sample<f64>], choice: &Choice) -> Vec<Option<f64>> {
+    fn stances(&self, samples: &[Sample], choice: &Choice) -> Vec<Option<f64>> {
         if choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored {
             return vec![None; samples.len()];
         }
         self.found_stances(samples)
     }
 
-    fn found_stances(&self, samples: &[Sample<f64>]) -> Vec<Option<f64>> {
+    fn found_stances(&self, samples: &[Sample]) -> Vec<Option<f64>> {
         let mut found = vec![None; samples.len()];
         let statistics = self.statistics(samples, Detector::foot());
         stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
@@ -305,7 +288,7 @@ impl<'a> Unit<'a> {
     }
 
     /// Whether the motion is that of a foot, which is taken for that of a hand.
-    fn foot(&self, samples: &[Sample<f64>]) -> Option<Problem> {
+    fn foot(&self, samples: &[Sample]) -> Option<Problem> {
         let stances = self.found_stances(samples);
         let is_stance: Vec<bool> = stances.iter().map(Option::is_some).collect();
         let steps = steps(self.times_s, samples, &runs(&is_stance))?;
@@ -329,7 +312,7 @@ impl<'a> Unit<'a> {
     }
 
     /// Statistic of the window about each sample; the nearest full window at both ends.
-    fn statistics(&self, samples: &[Sample<f64>], mut settings: Detector<f64>) -> Vec<f64> {
+    fn statistics(&self, samples: &[Sample], mut settings: Detector) -> Vec<f64> {
         settings.gravity_mps2 = self.gravity_mps2;
         let mut detector = Stationarity::new(settings);
         let (mut found, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
@@ -366,18 +349,13 @@ impl<'a> Unit<'a> {
         (at_start && lasts_s >= FIRST_REST_S).then_some(rest.end)
     }
 
-    pub fn start<M: Model<f64, N>, const N: usize>(
-        &self,
-        samples: &[Sample<f64>],
-        rests: &[bool],
-        choice: &Choice,
-    ) -> Result<Navigator<f64, M, N>> {
+    pub fn start(&self, samples: &[Sample], rests: &[bool], choice: &Choice) -> Result<Navigator> {
         let rest = self.first_rest(rests);
         let count = match rest {
             Some(end) => self.within(ALIGNMENT_S).min(end),
             None => self.within(SHORT_ALIGNMENT_S),
         };
-        let usable: Vec<Sample<f64>> = samples[..count]
+        let usable: Vec<Sample> = samples[..count]
             .iter()
             .filter(|s| s.force_mps2.iter().all(|f| f.is_finite()))
             .copied()
@@ -392,8 +370,10 @@ impl<'a> Unit<'a> {
         let in_vehicle = choice.profile == Profile::Vehicle && with_rate;
         let mut settings = self.settings(choice.profile, choice);
         settings.vehicle = in_vehicle.then(VehicleErrors::default);
-        let navigator = self.navigator(settings, &start);
-        let mut navigator = navigator.map_err(|error| refused(&error.to_string()))?;
+        if !with_rate {
+            settings.motion = Motion::NoGyroscope;
+        }
+        let mut navigator = self.navigator(settings, &start);
         if let Some(pose) = &choice.start {
             if let Some(heading_rad) = pose.heading_rad {
                 navigator.set_heading(heading_rad);
@@ -404,22 +384,15 @@ impl<'a> Unit<'a> {
     }
 
     /// A navigator with the errors of this unit.
-    ///
-    /// # Errors
-    /// [`LayoutFull`].
-    pub fn navigator<M: Model<f64, N>, const N: usize>(
-        &self,
-        settings: Settings<f64>,
-        start: &Start<f64>,
-    ) -> std::result::Result<Navigator<f64, M, N>, LayoutFull> {
-        let mut navigator = Navigator::new(settings, start)?;
+    pub fn navigator(&self, settings: Settings, start: &Start) -> Navigator {
+        let mut navigator = Navigator::new(settings, start);
         if let Some(covariance) = &self.covariance {
             navigator.set_calibration(&(*covariance).into());
         }
-        Ok(navigator)
+        navigator
     }
 
-    pub fn settings(&self, profile: Profile, choice: &Choice) -> Settings<f64> {
+    pub fn settings(&self, profile: Profile, choice: &Choice) -> Settings {
         let mut settings = Settings::of(profile);
         settings.gravity_mps2 = self.gravity_mps2;
         settings.errors.accelerometer_bias = self.bias_mps2;
@@ -434,7 +407,7 @@ impl<'a> Unit<'a> {
 }
 
 /// The detector of rests for a profile.
-pub(super) fn detector(profile: Profile) -> Detector<f64> {
+pub(super) fn detector(profile: Profile) -> Detector {
     match profile {
         Profile::Vehicle => Detector::vehicle(),
         _ => Detector::default(),
@@ -466,7 +439,7 @@ pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
     quantile(variances, 20).map_or(0.0, f64::sqrt)
 }
 
-pub(super) fn sample(sample: &UnitSample) -> Sample<f64> {
+pub(crate) fn sample(sample: &UnitSample) -> Sample {
     Sample {
         step_s: sample.step_s,
         force_mps2: sample.force_mps2.into(),

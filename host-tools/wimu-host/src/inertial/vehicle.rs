@@ -4,8 +4,7 @@
 use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_nav::navigator::{Model, Navigator};
-use wimu_nav::smoother::Recorder;
+use wimu_nav::navigator::Navigator;
 use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::{Fixes, PathPoint};
@@ -59,10 +58,7 @@ impl Fixes {
 }
 
 /// The position at the time stamp of a point by the clock of the fixes. Equation (188).
-pub(super) fn by_clock_of_fixes<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
-    point: &mut PathPoint,
-    navigator: &Navigator<f64, M, N, L>,
-) {
+pub(super) fn by_clock_of_fixes(point: &mut PathPoint, navigator: &Navigator) {
     let Some(vehicle) = navigator.vehicle() else {
         return;
     };
@@ -85,9 +81,7 @@ pub(super) fn by_clock_of_fixes<M: Model<f64, N>, const N: usize, L: Recorder<f6
 }
 
 /// What the vehicle has shown: slip of the wheels, a unit that was turned, a clock that is off.
-pub(super) fn findings<M: Model<f64, N>, const N: usize, L: Recorder<f64, N>>(
-    navigator: &Navigator<f64, M, N, L>,
-) -> Vec<Problem> {
+pub(super) fn findings(navigator: &Navigator) -> Vec<Problem> {
     let mut found = Vec::new();
     let Some(vehicle) = navigator.vehicle() else {
         return found;

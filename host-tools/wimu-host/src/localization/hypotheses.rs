@@ -8,7 +8,6 @@ use nalgebra::{Rotation3, Vector3};
 use super::engine::{DELAY_S, Motion, Recording, START_M, Start};
 use super::model::Model;
 use super::start::candidates;
-use crate::Result;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
 const TRIAL_S: f64 = 10.0;
@@ -33,24 +32,19 @@ pub(super) struct Chosen {
 }
 
 /// The most probable start; `None` without a candidate.
-///
-/// # Errors
-/// Those of [`Recording::run`].
-pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chosen>> {
+pub(super) fn choose(recording: &Recording, model: &Model) -> Option<Chosen> {
     let starts = starts(recording, model);
     let first_s = recording.ranges.first().map_or(0.0, |r| r.time_s + model.shift_s);
     let trial_s = match recording.motion {
         Motion::Free => TRIAL_S,
         _ => HEADING_TRIAL_S,
     };
-    let mut order = judged(recording, model, &starts, first_s + trial_s)?;
+    let mut order = judged(recording, model, &starts, first_s + trial_s);
     if order.len() > 1 && order[0].0 - order[1].0 < DECIDED {
         let close: Vec<Start> = order.iter().take(2).map(|(_, start)| *start).collect();
-        order = judged(recording, model, &close, f64::INFINITY)?;
+        order = judged(recording, model, &close, f64::INFINITY);
     }
-    let Some(mut start) = order.first().map(|(_, start)| *start) else {
-        return Ok(None);
-    };
+    let mut start = order.first()?.1;
     let equal = order.get(1).filter(|(found, _)| order[0].0 - found < DECIDED);
     let mut other = equal
         .map(|(_, other)| *other)
@@ -59,7 +53,7 @@ pub(super) fn choose(recording: &Recording, model: &Model) -> Result<Option<Chos
     if let Some(above) = other.filter(|o| o.position_m.z > start.position_m.z) {
         (start, other) = (above, Some(start));
     }
-    Ok(Some(Chosen { start, other }))
+    Some(Chosen { start, other })
 }
 
 /// Log-likelihoods of the ranges up to a time, s, the greatest first.
@@ -68,17 +62,15 @@ fn judged(
     model: &Model,
     starts: &[Start],
     until_s: f64,
-) -> Result<Vec<(f64, Start)>> {
+) -> Vec<(f64, Start)> {
     if let [only] = starts {
-        return Ok(vec![(0.0, *only)]);
+        return vec![(0.0, *only)];
     }
-    let judge = |start: &Start| {
-        let run = recording.run(model, start, false, until_s)?;
-        Ok((run.log_likelihood, *start))
-    };
-    let mut found = starts.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
+    let judge =
+        |start: &Start| (recording.run(model, start, false, until_s).log_likelihood, *start);
+    let mut found: Vec<(f64, Start)> = starts.iter().map(judge).collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    Ok(found)
+    found
 }
 
 fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
@@ -155,16 +147,9 @@ pub(super) fn is_last(shift_s: f64) -> bool {
 
 /// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
 /// shift has its own most probable start. Equation (172).
-///
-/// # Errors
-/// Those of [`Recording::run`].
-pub(super) fn clock_shift(
-    recording: &Recording,
-    model: &Model,
-    delay_s: f64,
-) -> Result<Option<f64>> {
+pub(super) fn clock_shift(recording: &Recording, model: &Model, delay_s: f64) -> Option<f64> {
     if matches!(recording.motion, Motion::Free) || fits(model, delay_s) {
-        return Ok(None);
+        return None;
     }
     let part = Recording {
         ranges: &recording.ranges[..recording.ranges.len().min(SHIFT_RANGES)],
@@ -173,34 +158,29 @@ pub(super) fn clock_shift(
     let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
     let shifted = |shift_s: f64| Model { shift_s, ..*model };
     let likelihood = |shift_s: f64, start: &Start| {
-        let run = part.run(&shifted(shift_s), start, false, last_s + shift_s.max(0.0))?;
-        Ok(run.log_likelihood)
+        part.run(&shifted(shift_s), start, false, last_s + shift_s.max(0.0)).log_likelihood
     };
     let chosen = |shift_s: f64| {
-        let Some(Chosen { start, .. }) = choose(&part, &shifted(shift_s))? else {
-            return Ok(None);
-        };
-        Ok(Some((likelihood(shift_s, &start)?, shift_s, start)))
+        let Chosen { start, .. } = choose(&part, &shifted(shift_s))?;
+        Some((likelihood(shift_s, &start), shift_s, start))
     };
-    let mut best = chosen(0.0)?;
+    let mut best = chosen(0.0);
     let least = best.map_or(f64::NEG_INFINITY, |(found, ..)| found) + SHIFT_GAIN;
     for shift_s in SHIFTS_S.into_iter().flat_map(|s| [s, -s]) {
-        let found = chosen(shift_s)?;
+        let found = chosen(shift_s);
         let most = best.map_or(f64::NEG_INFINITY, |(most, ..)| most);
         best = found.filter(|(found, ..)| *found > most).or(best);
     }
-    let Some((mut most, mut shift_s, start)) = best.filter(|(most, ..)| *most > least) else {
-        return Ok(None);
-    };
+    let (mut most, mut shift_s, start) = best.filter(|(most, ..)| *most > least)?;
     let mut step_s = 0.25 * shift_s.abs();
     while step_s > SHIFT_S {
         for next_s in [shift_s - step_s, shift_s + step_s] {
-            let found = likelihood(next_s, &start)?;
+            let found = likelihood(next_s, &start);
             if found > most {
                 (most, shift_s) = (found, next_s);
             }
         }
         step_s *= 0.5;
     }
-    Ok(Some(shift_s))
+    Some(shift_s)
 }

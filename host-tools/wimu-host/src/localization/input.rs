@@ -8,6 +8,9 @@ use crate::csv::columns::{ANGLE, Column, LENGTH, TIME, Table};
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
+/// Anchors, at most: the time of an update grows with the square of their number.
+const MOST_ANCHORS: usize = 64;
+
 /// Anchors, and whether they have no height.
 pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let table = Table::read(path)?;
@@ -35,6 +38,11 @@ pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     }
     if anchors.is_empty() {
         return Err(table.empty("there are no anchors", "give one row each"));
+    }
+    if anchors.len() > MOST_ANCHORS {
+        let message = format!("{} anchors are too many: {MOST_ANCHORS} at most", anchors.len());
+        let remedy = "leave out those that no range is to";
+        return Err(Code::DataRefused.error(message, remedy).at(&table.name));
     }
     Ok((anchors, up.is_none()))
 }

@@ -14,6 +14,7 @@ mod start;
 use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
+pub(crate) use model::Model;
 pub use model::RangePrior;
 pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
@@ -24,7 +25,6 @@ use crate::motion::{MotionRecording, UnitSample};
 use crate::{Code, Problem, Result};
 use engine::{Motion, Recording, Run};
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
-use model::Model;
 
 /// An anchor as its file has it.
 #[derive(Clone, Debug, PartialEq)]
@@ -196,7 +196,7 @@ fn inertial(
         rate_rad_s: None,
         field_ut: None,
     };
-    let first: Vec<Sample<f64>> = samples[..count].iter().map(sample).collect();
+    let first: Vec<Sample> = samples[..count].iter().map(sample).collect();
     let aligned = Alignment::align(&first, false).ok_or("they do not show gravity at the start")?;
     Ok((Motion::Inertial(times_s, samples), aligned.attitude))
 }
@@ -207,7 +207,7 @@ const ALIGNMENT_S: f64 = 0.5;
 /// Estimates the path of a recording.
 ///
 /// # Errors
-/// `data_refused`: too few ranges or anchors, too many anchors, most accelerations no numbers, no position to the limit.
+/// `data_refused`: too few ranges or anchors, most accelerations no numbers, no position to the limit.
 pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
     if let Some(motion) = &recording.motion
         && let Some(holes) = Holes::of(motion)?
@@ -252,7 +252,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
     let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)).map_err(at)? {
+    if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)) {
         let shifted = Model { shift_s, ..prior };
         let found = solved(&problem, shifted, choice).map_err(at)?;
         let explains = fits(&found.1, delay_s(&found.0));
@@ -275,28 +275,28 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
 /// The run with the most probable start and the scales of greatest likelihood.
 fn solved(
     problem: &Recording,
-    mut model: Model,
+    prior: Model,
     choice: &LocalizationChoice,
 ) -> Result<(Run, Model, Chosen)> {
-    let mut chosen = choose(problem, &model)?.ok_or_else(|| {
+    let first = choose(problem, &prior).ok_or_else(|| {
         let remedy = "check units and anchors, or give the start: --start E,N,U";
         Code::DataRefused.error("no position explains the first ranges", remedy)
     })?;
-    if model.adapts {
-        let prior = model;
-        (model, chosen) = adapted(problem, prior, chosen)?;
+    let (mut model, mut chosen) = (prior, first);
+    if prior.adapts {
+        (model, chosen) = adapted(problem, prior, chosen);
         if !fits(&model, 0.0) && prior.ranges.scale == 0.0 {
-            (model, chosen) = with_scale(problem, prior, (model, chosen))?;
+            (model, chosen) = with_scale(problem, prior, (model, chosen));
         }
     }
-    let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY)?;
+    let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY);
     Ok((run, model, chosen))
 }
 
 /// The scales of greatest likelihood, and the most probable start with them.
-fn adapted(problem: &Recording, prior: Model, chosen: Chosen) -> Result<(Model, Chosen)> {
-    let model = scales::adapted(problem, &prior, &chosen.start)?;
-    Ok((model, choose(problem, &model)?.unwrap_or(chosen)))
+fn adapted(problem: &Recording, prior: Model, chosen: Chosen) -> (Model, Chosen) {
+    let model = scales::adapted(problem, &prior, &chosen.start);
+    (model, choose(problem, &model).unwrap_or(chosen))
 }
 
 /// The same with a scale error, where it explains the ranges better by Schwarz's criterion; else what was found without.
@@ -304,19 +304,19 @@ fn with_scale(
     problem: &Recording,
     prior: Model,
     (model, chosen): (Model, Chosen),
-) -> Result<(Model, Chosen)> {
+) -> (Model, Chosen) {
     let scaled = prior.with_scale();
-    let Some(start) = choose(problem, &scaled)? else {
-        return Ok((model, chosen));
+    let Some(start) = choose(problem, &scaled) else {
+        return (model, chosen);
     };
-    let (scaled, start) = adapted(problem, scaled, start)?;
+    let (scaled, start) = adapted(problem, scaled, start);
     let likelihood = |model: &Model, chosen: &Chosen| {
-        Ok(problem.run(model, &chosen.start, false, f64::INFINITY)?.log_likelihood)
+        problem.run(model, &chosen.start, false, f64::INFINITY).log_likelihood
     };
-    let gain = likelihood(&scaled, &start)? - likelihood(&model, &chosen)?;
+    let gain = likelihood(&scaled, &start) - likelihood(&model, &chosen);
     let parameters = problem.anchors.len() as f64 + 1.0;
     let explains = gain > 0.5 * parameters * (problem.ranges.len() as f64).ln();
-    Ok(if explains { (scaled, start) } else { (model, chosen) })
+    if explains { (scaled, start) } else { (model, chosen) }
 }
 
 fn presented(

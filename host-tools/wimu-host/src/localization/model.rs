@@ -20,8 +20,6 @@ pub struct RangePrior {
     pub blocked: f64,
     /// Power spectral density of the acceleration, m²/s³, without another sensor.
     pub acceleration_m2s3: f64,
-    /// A range is rejected beyond this number of standard deviations.
-    pub gate: f64,
     /// Whether noise, correlated error, acceleration and probability are only where the search for those of greatest
     /// likelihood begins.
     pub adapts: bool,
@@ -37,7 +35,6 @@ impl RangePrior {
         scale: 0.0,
         blocked: 0.1,
         acceleration_m2s3: 0.1,
-        gate: f64::INFINITY,
         adapts: true,
     };
     /// Radios of a vehicle outdoors whose kind is not known (Plaza data sets: 6 % too long, noise 0.5 m). The slip of its
@@ -72,21 +69,19 @@ const RATE_NOISE: f64 = 0.003;
 
 /// Constants of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Model {
-    pub ranges: RangeErrors<f64>,
+pub(crate) struct Model {
+    pub ranges: RangeErrors,
     /// Part of the bias, m, and of the scale error that all anchors have in common, standard deviations.
     pub common: [f64; 2],
     pub line_of_sight: NonLineOfSight,
     /// Standard deviation of a range beside its bias before the search for the noise, m.
     pub expected_m: f64,
-    /// A range is rejected beyond this number of standard deviations.
-    pub gate: f64,
     /// Whether the scales of the noise are estimated.
     pub adapts: bool,
     /// Power spectral density of the acceleration, m²/s³.
     pub acceleration: f64,
-    pub odometry: OdometryErrors<f64>,
-    pub imu: ImuErrors<f64>,
+    pub odometry: OdometryErrors,
+    pub imu: ImuErrors,
     pub gravity_mps2: f64,
     /// Antenna of the unit, m, body frame.
     pub lever_arm_m: [f64; 3],
@@ -123,12 +118,12 @@ impl Model {
         ranges.scale = prior.scale * OWN_SCALE;
         let mut imu = ImuErrors::default();
         (imu.accelerometer_noise, imu.gyroscope_noise) = (FORCE_NOISE, RATE_NOISE);
+        (imu.accelerometer_matrix, imu.gyroscope_matrix, imu.delay_s) = ([0.0; 2], [0.0; 2], 0.0);
         Self {
             ranges,
             common: [prior.bias_m * OWN_BIAS, prior.scale],
             line_of_sight: NonLineOfSight { probability: prior.blocked, mean_m: EXCESS_M },
             expected_m: ranges.noise_m.hypot(ranges.correlated_m),
-            gate: prior.gate,
             adapts: prior.adapts,
             acceleration: prior.acceleration_m2s3,
             odometry: OdometryErrors::default(),

@@ -5,7 +5,6 @@ use wimu_nav::sensor::LineOfSight;
 use super::RangeSample;
 use super::engine::{Motion, Recording, Start};
 use super::model::Model;
-use crate::Result;
 
 /// Ranges that are used, at most: several minutes of a usual system.
 const MOST: usize = 12_000;
@@ -60,20 +59,17 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
 }
 
 /// The model with the scales of greatest likelihood.
-///
-/// # Errors
-/// Those of [`Recording::run`].
-pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Result<Model> {
+pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Model {
     let used = &recording.ranges[..recording.ranges.len().min(MOST)];
     let until_s = used.last().map_or(0.0, |r| r.time_s + model.shift_s);
-    let first = recording.run(model, start, false, until_s)?;
+    let first = recording.run(model, start, false, until_s);
     let is_far = |l: &LineOfSight| l.weight < FAR_WEIGHT && l.innovation_m < 0.0;
     let pairs = used.iter().zip(&first.judged);
     let near: Vec<RangeSample> = pairs.filter(|(_, l)| !is_far(l)).map(|(r, _)| *r).collect();
     let few = (used.len() - near.len()) as f64 <= MOST_FAR * used.len() as f64;
     let part = Recording { ranges: if few { &near } else { used }, ..*recording };
-    let likelihood = |model: &Model| Ok(part.run(model, start, false, until_s)?.log_likelihood);
-    let (mut best, mut most) = (*model, likelihood(model)?);
+    let likelihood = |model: &Model| part.run(model, start, false, until_s).log_likelihood;
+    let (mut best, mut most) = (*model, likelihood(model));
     for factor in FACTORS {
         for _ in 0..ROUNDS {
             let before = most;
@@ -84,7 +80,7 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Re
                     let Some(next) = scaled(&best, &part.motion, which, factor) else {
                         break;
                     };
-                    let found = likelihood(&next)?;
+                    let found = likelihood(&next);
                     let gains = found >= most + GAIN;
                     if !gains {
                         break;
@@ -97,5 +93,5 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Re
             }
         }
     }
-    Ok(best)
+    best
 }

@@ -3,7 +3,6 @@
 use nalgebra::Rotation3;
 
 use super::engine::{self, Model};
-use super::internal;
 use super::pair::{LEAST_OVERLAP_S, Unit, lag, steps};
 use crate::{Code, Problem, Result};
 
@@ -84,7 +83,7 @@ pub(super) fn refined(
             let mut all = steps(units, clock.offset_s + f64::from(k) * STEP_S);
             let end_s = all.first().map_or(0.0, |step| step.time_s + REFINED_S);
             all.retain(|step| step.time_s <= end_s);
-            let log_likelihood = engine::run(&all, start, model).map_err(internal)?.log_likelihood;
+            let log_likelihood = engine::run(&all, start, model).log_likelihood;
             // Runs of different lengths have different numbers of updates.
             count = all.len().max(1) as f64;
             found.push(log_likelihood / count);

@@ -4,13 +4,11 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use wimu_nav::filter::{Filter, Gate};
 use wimu_nav::process::{GaussMarkov, ImuErrors, Relative, RelativeBlocks, Unmeasured};
 use wimu_nav::sensor::{CommonAxis, CommonField, CommonPoint};
-use wimu_nav::state::{ATTITUDE, Block, Layout, LayoutFull, Role};
+use wimu_nav::state::{ATTITUDE, Block, Layout, Role};
 
 use super::Hinge;
 use super::pair::Step;
 
-/// Attitude, velocity, position 9, errors of both units 18, lever arms 6, axes 6, difference of the fields 3.
-const STATES: usize = 42;
 /// Standard deviation of a lever arm, m, a component: units are mounted within about half a metre of the joint.
 const LEVER_ARM_M: f64 = 0.3;
 /// Standard deviation of the relative velocity at the start, m/s.
@@ -71,10 +69,10 @@ struct Blocks {
 
 /// The filter on its way.
 pub(super) struct Engine {
-    filter: Filter<f64, STATES>,
+    filter: Filter,
     blocks: Blocks,
     model: Model,
-    errors: ImuErrors<f64>,
+    errors: ImuErrors,
     since_joint_s: f64,
     log_likelihood: f64,
     /// Sums of the normalised innovations squared of the joint, and of their degrees of freedom.
@@ -82,24 +80,24 @@ pub(super) struct Engine {
 }
 
 /// Runs the filter from a rotation at the start.
-pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Result<Run, LayoutFull> {
-    let mut engine = Engine::new(start, model)?;
+pub(super) fn run(steps: &[Step], start: Rotation3<f64>, model: &Model) -> Run {
+    let mut engine = Engine::new(start, model);
     let poses = steps.iter().map(|step| engine.step(step)).collect();
-    Ok(Run {
+    Run {
         poses,
         log_likelihood: engine.log_likelihood,
         joint_nis: engine.joint_nis(),
         lever_arms_m: engine.lever_arms_m(),
-    })
+    }
 }
 
 impl Engine {
-    pub(super) fn new(start: Rotation3<f64>, model: &Model) -> Result<Self, LayoutFull> {
+    pub(super) fn new(start: Rotation3<f64>, model: &Model) -> Self {
         let mut errors = ImuErrors::default();
         errors.accelerometer_bias = model.bias_mps2;
         errors.time_s = TIME_S;
-        let (filter, blocks) = begun(start, model, &errors)?;
-        Ok(Self {
+        let (filter, blocks) = begun(start, model, &errors);
+        Self {
             filter,
             blocks,
             model: *model,
@@ -107,7 +105,7 @@ impl Engine {
             since_joint_s: JOINT_S,
             log_likelihood: 0.0,
             joint: [0.0; 2],
-        })
+        }
     }
 
     pub(super) fn step(&mut self, step: &Step) -> Pose {
@@ -159,20 +157,15 @@ impl Engine {
     }
 }
 
-fn begun(
-    start: Rotation3<f64>,
-    model: &Model,
-    errors: &ImuErrors<f64>,
-) -> Result<(Filter<f64, STATES>, Blocks), LayoutFull> {
+fn begun(start: Rotation3<f64>, model: &Model, errors: &ImuErrors) -> (Filter, Blocks) {
     let mut layout = Layout::new([START_RAD; 3], VELOCITY_MPS, 2.0 * LEVER_ARM_M);
-    let motion = RelativeBlocks::claim(&mut layout, errors)?;
+    let motion = RelativeBlocks::claim(&mut layout, errors);
     let arms = [
-        layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
-        layout.claim(Role::Estimated, [LEVER_ARM_M; 3])?,
+        layout.claim(Role::Estimated, [LEVER_ARM_M; 3]),
+        layout.claim(Role::Estimated, [LEVER_ARM_M; 3]),
     ];
-    let axes =
-        [layout.claim(Role::Considered, [0.0; 3])?, layout.claim(Role::Considered, [0.0; 3])?];
-    let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3])?;
+    let axes = [layout.claim(Role::Considered, [0.0; 3]), layout.claim(Role::Considered, [0.0; 3])];
+    let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3]);
     let mut filter = Filter::new(&layout, start);
     if let Some(hinge) = &model.hinge {
         for (k, block) in axes.into_iter().enumerate() {
@@ -183,15 +176,10 @@ fn begun(
             filter.set_covariance(block, &(across * variance));
         }
     }
-    Ok((filter, Blocks { motion, arms, axes, field }))
+    (filter, Blocks { motion, arms, axes, field })
 }
 
-fn predict(
-    filter: &mut Filter<f64, STATES>,
-    step: &Step,
-    blocks: &Blocks,
-    errors: &ImuErrors<f64>,
-) {
+fn predict(filter: &mut Filter, step: &Step, blocks: &Blocks, errors: &ImuErrors) {
     let step_s = step.step_s;
     let field = GaussMarkov {
         block: blocks.field,

@@ -202,7 +202,7 @@ impl Running {
         found.points.clear();
         let mut running = Self {
             steps: Steps::new(&units, behind_s + found.clock.offset_s),
-            engine: Box::new(Engine::new(start, model).map_err(super::internal)?),
+            engine: Box::new(Engine::new(start, model)),
             angle: Angle::new(found.hinge, &found.clock),
             units,
             found,

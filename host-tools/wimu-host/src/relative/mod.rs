@@ -114,7 +114,7 @@ fn search(
     let start = start(&all, &model, &mut noticed).map_err(at)?;
     let clock = clock::refined(&units, clock, start, &model, &mut noticed)?;
     let all = steps(&units, clock.offset_s);
-    let mut run = engine::run(&all, start, &model).map_err(internal)?;
+    let mut run = engine::run(&all, start, &model);
     let hinge = match given {
         Some(hinge) => hinge,
         None => {
@@ -125,7 +125,7 @@ fn search(
             for _ in 0..PASSES {
                 if hinge.is_a_hinge() {
                     model.hinge = Some(hinge);
-                    run = engine::run(&all, start, &model).map_err(internal)?;
+                    run = engine::run(&all, start, &model);
                 }
                 hinge = found(&run)?;
             }
@@ -143,11 +143,6 @@ fn search(
         true => Ok((found, start, model)),
         false => Err(at(findings::no_answer())),
     }
-}
-
-/// The layout of the filter is constant.
-fn internal(error: wimu_nav::state::LayoutFull) -> Problem {
-    Code::DataRefused.error(error.to_string(), "report it")
 }
 
 fn units(recordings: [&MotionRecording; 2]) -> Result<[Unit; 2]> {
@@ -184,7 +179,7 @@ fn start(steps: &[Step], model: &Model, noticed: &mut Vec<Problem>) -> Result<Ro
         let angle = TAU * f64::from(k) / f64::from(HEADINGS);
         let heading = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
         let start = levels[0].inverse() * heading * levels[1];
-        let run = engine::run(until_s(CHOICE_S), start, model).map_err(internal)?;
+        let run = engine::run(until_s(CHOICE_S), start, model);
         let Some(last) = run.poses.last().filter(|_| run.log_likelihood.is_finite()) else {
             continue;
         };

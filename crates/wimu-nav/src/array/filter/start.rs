@@ -2,16 +2,15 @@
 
 use nalgebra::{Matrix1, Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
-use super::{Alignment, ArrayFilter, FREEDOM, START_ROTATION, STATES};
-use crate::Real;
+use super::{Alignment, ArrayFilter, FREEDOM, START_ROTATION};
 use crate::array::noise::Level;
 use crate::array::solver::Linear;
 use crate::filter::{Filter, Gate};
 use crate::mixture::Mixture;
 use crate::navigator::Rests;
 use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
-use crate::rotation::{level, real};
-use crate::sensor::{Velocity, VerticalRate, Zero};
+use crate::rotation::level;
+use crate::sensor::{Known, Velocity, VerticalRate};
 use crate::state::{ATTITUDE, HEADING, POSITION, VELOCITY};
 
 /// Time of the alignment, s.
@@ -33,11 +32,11 @@ const HEADING_UNKNOWN: f64 = 3.29;
 const DIVERGED_SPEED: f64 = 300.0;
 const LOST_POSITION: f64 = 1e4;
 
-impl<R: Real, const M: usize> ArrayFilter<R, M> {
+impl<const M: usize> ArrayFilter<M> {
     /// Alignment with the mean specific force; after a start in motion with that of the first rest.
-    pub(super) fn align(&mut self, step: f64, linear: &Linear<R>, at_rest: bool) {
+    pub(super) fn align(&mut self, step: f64, linear: &Linear<f64>, at_rest: bool) {
         let align = &mut self.align;
-        align.force += Vector3::from_fn(|i, _| linear.theta[3 + i].to_f64());
+        align.force += Vector3::from_fn(|i, _| linear.theta[3 + i]);
         align.time_s += step;
         align.count += 1.0;
         if align.time_s < ALIGN_S && !self.moving_start || align.count < 2.0 && !at_rest {
@@ -46,15 +45,11 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         let force = if at_rest { self.rest_test.force() } else { align.force / align.count };
         self.align = Alignment::EMPTY;
         if let Some(attitude) = level(&force, None) {
-            self.begin(
-                Rotation3::from_matrix_unchecked(attitude.matrix().map(real)),
-                &force,
-                at_rest,
-            );
+            self.begin(attitude, &force, at_rest);
         }
     }
 
-    pub(super) fn begin(&mut self, attitude: Rotation3<R>, force: &Vector3<f64>, rest: bool) {
+    pub(super) fn begin(&mut self, attitude: Rotation3<f64>, force: &Vector3<f64>, rest: bool) {
         let g = self.config.gravity_mps2;
         let [own, common] = self.bias_variances();
         let bias = own * self.array.solver().covariance()[3][3] + common;
@@ -63,9 +58,9 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             true => ((bias + excess * excess / 4.0) / (g * g) + 1e-6, 1e-6),
             false => (MOVING_TILT * MOVING_TILT, MOVING_VELOCITY * MOVING_VELOCITY),
         };
-        let diagonal = |variance: f64| Matrix3::from_diagonal_element(real::<R>(variance));
+        let diagonal = |variance: f64| Matrix3::from_diagonal_element(variance);
         let mut filter = Filter::new(&self.layout, attitude);
-        let tilt = Matrix3::from_diagonal(&Vector3::new(tilt, tilt, 1e-8).map(real));
+        let tilt = Matrix3::from_diagonal(&Vector3::new(tilt, tilt, 1e-8));
         filter.set_covariance(ATTITUDE, &tilt);
         filter.set_covariance(VELOCITY, &diagonal(velocity));
         if self.lost {
@@ -87,7 +82,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     pub(super) fn bias_variances(&self) -> [f64; 2] {
         let c = &self.config;
         let square = |x: f64| x * x;
-        let variance = self.array.solver().variance_mps2().to_f64();
+        let variance = self.array.solver().variance_mps2();
         [
             (square(c.bias_mps2) + square(c.scale * c.gravity_mps2)) / variance,
             square(c.common_bias_mps2) + square(c.common_scale * c.gravity_mps2),
@@ -97,16 +92,14 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
     /// Biases as before the first sample; those of the specific force where `all`.
     pub(super) fn begin_biases(&mut self, all: bool) {
         let [own, common] = self.bias_variances();
-        let (own, common) = (real::<R>(own), real::<R>(common));
         let solver = self.array.solver();
         let covariance = solver.covariance();
-        let mut theta = SMatrix::<R, 6, 6>::from_fn(|i, j| real::<R>(covariance[i][j]) * own);
+        let mut theta = SMatrix::<f64, 6, 6>::from_fn(|i, j| covariance[i][j] * own);
         for i in 3..6 {
             theta[(i, i)] += common;
         }
         let rank = solver.rank();
-        let z =
-            SMatrix::<R, 6, 6>::from_fn(|i, j| if i == j && i < rank { own } else { R::zero() });
+        let z = SMatrix::<f64, 6, 6>::from_fn(|i, j| if i == j && i < rank { own } else { 0.0 });
         let RigidArrayBlocks { bias, z_bias, .. } = self.blocks;
         let first = bias.part::<3, 0>();
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
@@ -136,8 +129,8 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             && let Some(mixture) = &mut self.mixture
         {
             self.since_update_s = 0.0;
-            let zero = Velocity::zero(real(REST_SPEED), Some(self.hidden));
-            let innovation = mixture.update_each(real(FREEDOM), Gate::ChiSquare, &zero);
+            let zero = Velocity::zero(REST_SPEED, Some(self.hidden));
+            let innovation = mixture.update_each(FREEDOM, Gate::ChiSquare, &zero);
             self.resting = innovation.is_some_and(|i| i.accepted);
             let stated = self.config.rests == Rests::ZeroVelocity;
             if !self.resting && stated && self.failing_s >= CERTAIN_REST_S {
@@ -156,20 +149,19 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             }
             let slower = libm::sqrt((REST_S / self.since_zero_s).max(1.0));
             self.since_zero_s = 0.0;
-            let [rate, acceleration] = REST_ROTATION.map(|d| real::<R>(d * slower));
+            let [rate, acceleration] = REST_ROTATION.map(|d| d * slower);
             let Some(mixture) = &mut self.mixture else {
                 return;
             };
-            let zero = Zero { block: self.blocks.acceleration(), deviation: [acceleration; 3] };
-            mixture.update_each(real(FREEDOM), Gate::Open, &zero);
+            let zero = Known::zero(self.blocks.acceleration(), [acceleration; 3]);
+            mixture.update_each(FREEDOM, Gate::Open, &zero);
             let block = self.blocks.rate();
-            let freedom = real(FREEDOM);
             if self.still_start || self.config.rests == Rests::ZeroVelocity {
                 let deviation = [rate; 3];
-                mixture.update_each(freedom, Gate::Open, &Zero { block, deviation });
+                mixture.update_each(FREEDOM, Gate::Open, &Known::zero(block, deviation));
             } else {
                 let deviation = rate;
-                mixture.update_each(freedom, Gate::Open, &VerticalRate { block, deviation });
+                mixture.update_each(FREEDOM, Gate::Open, &VerticalRate { block, deviation });
             }
         }
     }
@@ -182,13 +174,12 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         };
         let before = mixture.moments();
         let attitude = before.state.attitude;
-        let force = self.rest_test.force().map(real::<R>);
+        let force = self.rest_test.force();
         let up = attitude * force;
         let levelled =
             Rotation3::rotation_between(&up, &Vector3::z()).unwrap_or(Rotation3::identity());
-        let heading = before.covariance(ATTITUDE)[(2, 2)].to_f64()
-            + libm::pow(levelled.angle().to_f64(), 2.0);
-        let moved = before.state.get(VELOCITY) * real::<R>(self.since_rest_s);
+        let heading = before.covariance(ATTITUDE)[(2, 2)] + libm::pow(levelled.angle(), 2.0);
+        let moved = before.state.get(VELOCITY) * self.since_rest_s;
         let position =
             before.covariance(POSITION) + Matrix3::from_diagonal(&moved.component_mul(&moved));
         self.begin(levelled * attitude, &self.rest_test.force(), true);
@@ -196,7 +187,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
             filter.state.set(POSITION, before.state.get(POSITION));
             filter.set_covariance(POSITION, &position);
-            let heading = Matrix1::new(real::<R>(heading.min(HEADING_UNKNOWN)));
+            let heading = Matrix1::new(heading.min(HEADING_UNKNOWN));
             filter.set_covariance(HEADING, &heading);
         }
     }
@@ -208,23 +199,23 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
         self.rest_test.interrupt();
         self.surprise = 1.0;
         self.last = None;
-        let step_s = real::<R>(step.min(1e3));
+        let step_s = step.min(1e3);
         let solver = self.array.solver();
         let rotation = RigidArray {
             blocks: &self.blocks,
             solver,
-            acceleration_walk: real(self.level.activity),
-            rate_walk: R::zero(),
-            bias_decay: R::one(),
-            bias_variance: R::zero(),
-            common_variance: R::zero(),
+            acceleration_walk: self.level.activity,
+            rate_walk: 0.0,
+            bias_decay: 1.0,
+            bias_variance: 0.0,
+            common_variance: 0.0,
             step_s,
         };
-        let [rate, acceleration] = START_ROTATION.map(|d| real::<R>(d * d));
+        let [rate, acceleration] = START_ROTATION.map(|d| d * d);
         let unknown = [rate, rate, rate, acceleration, acceleration, acceleration];
-        let unknown = SMatrix::<R, 6, 6>::from_diagonal(&unknown.into());
+        let unknown = SMatrix::<f64, 6, 6>::from_diagonal(&unknown.into());
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
-            filter.predict(&Unmeasured { step_s, since_s: R::zero() });
+            filter.predict(&Unmeasured { step_s, since_s: 0.0 });
             if gap {
                 filter.set_covariance(self.blocks.rotation, &unknown);
             } else {
@@ -240,8 +231,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             return;
         };
         let sound = mixture.components().iter().all(|c| c.filter.is_sound());
-        let slow =
-            |filter: &Filter<R, STATES>| filter.state.get(VELOCITY).norm() < real(DIVERGED_SPEED);
+        let slow = |filter: &Filter| filter.state.get(VELOCITY).norm() < DIVERGED_SPEED;
         if sound && mixture.components().iter().all(|c| slow(&c.filter)) {
             return;
         }
@@ -251,7 +241,7 @@ impl<R: Real, const M: usize> ArrayFilter<R, M> {
             self.level = Level::new();
             return;
         }
-        let diagonal = |d: f64| Matrix3::from_diagonal_element(real::<R>(d * d));
+        let diagonal = |d: f64| Matrix3::from_diagonal_element(d * d);
         for filter in mixture.filters_mut() {
             filter.state.set(VELOCITY, Vector3::zeros());
             filter.set_covariance(ATTITUDE, &diagonal(MOVING_TILT));

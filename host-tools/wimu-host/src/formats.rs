@@ -6,27 +6,25 @@ mod ardupilot;
 mod autopilot;
 mod betaflight;
 mod ned;
-mod overview;
 mod px4;
 mod ros;
 pub(crate) mod source;
 mod summary;
 mod table;
 mod unsupported;
-pub(crate) mod wimu;
+mod wimu;
 mod window;
 
 use std::path::Path;
 
 use wimu_link::LinkRole;
 
-pub use overview::Overview;
 pub use source::Source;
-pub use summary::{Summary, TrackSummary};
+pub use summary::{Overview, Summary, TrackSummary};
 pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
-use crate::recording::{OF_WIMU, Quantity, Recording, Sink, TrackId, TrackInfo};
+use crate::recording::{How, Intake, OF_WIMU, Recording, Sink};
 use crate::{Code, Problem, Result};
 
 /// How to read a file whose content does not say enough.
@@ -99,7 +97,7 @@ const FORMATS: &[Format] = &[
 pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<&'static str> {
     let format = match &options.format {
         Some(name) => named(name)?,
-        None => match FORMATS.iter().find(|format| (format.detect)(source)) {
+        None => match detected(source) {
             Some(format) => format,
             // A folder or archive with one recording.
             None => match recordings(source).as_slice() {
@@ -109,62 +107,25 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         },
     };
     refuse_ignored(format, options).map_err(|error| error.at(source.name()))?;
-    match &options.units {
-        Some(units) if format.takes == OF_LOGS => {
-            (format.read)(source, options, &mut Scaled::new(units, sink)?)?;
-        }
-        _ => (format.read)(source, options, sink)?,
-    }
+    let factors = match &options.units {
+        Some(units) if format.takes == OF_LOGS => table::si_of(units)?,
+        _ => [1.0; 2],
+    };
+    let is_one_table = source.members().is_empty();
+    let how = How { in_order: !options.poses, factors, is_one_table };
+    let mut intake = Intake::new(sink, how);
+    (format.read)(source, options, &mut intake)?;
+    intake.finish(source.name())?;
     Ok(format.name)
 }
 
-/// Values of a log whose units are not those that its format prescribes.
-struct Scaled<'a> {
-    sink: &'a mut dyn Sink,
-    /// SI of a unit of specific force, and of angular rate.
-    factors: [f64; 2],
-    /// Factor of each track.
-    tracks: Vec<f64>,
+/// Whether `wimu record` wrote it.
+pub(crate) fn is_own(source: &Source) -> bool {
+    detected(source).is_some_and(|format| format.name == OF_WIMU)
 }
 
-impl<'a> Scaled<'a> {
-    fn new(units: &str, sink: &'a mut dyn Sink) -> Result<Self> {
-        Ok(Self { sink, factors: table::si_of(units)?, tracks: Vec::new() })
-    }
-}
-
-impl Sink for Scaled<'_> {
-    fn track(&mut self, info: TrackInfo) -> TrackId {
-        let [force, rate] = self.factors;
-        let factor = match info.quantity {
-            Quantity::SpecificForce | Quantity::LinearAcceleration => force,
-            Quantity::AngularRate => rate,
-            _ => 1.0,
-        };
-        let track = self.sink.track(info);
-        self.tracks.resize(self.tracks.len().max(track.0 + 1), 1.0);
-        self.tracks[track.0] = factor;
-        track
-    }
-
-    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        let factor = self.tracks.get(track.0).copied().unwrap_or(1.0);
-        let mut row = [f64::NAN; 4];
-        row.iter_mut().zip(values).for_each(|(to, value)| *to = value * factor);
-        self.sink.row(track, time_ns, &row[..values.len().min(4)]);
-    }
-
-    fn gap(&mut self, track: TrackId) {
-        self.sink.gap(track);
-    }
-
-    fn finding(&mut self, finding: Problem) {
-        self.sink.finding(finding);
-    }
-
-    fn takes_any(&self) -> bool {
-        self.sink.takes_any()
-    }
+fn detected(source: &Source) -> Option<&'static Format> {
+    FORMATS.iter().find(|format| (format.detect)(source))
 }
 
 fn refuse_ignored(format: &Format, options: &ReadOptions) -> Result<()> {
@@ -209,18 +170,12 @@ fn recordings(source: &Source) -> Vec<&Source> {
 }
 
 fn unknown(source: &Source, several: &[&Source]) -> Problem {
-    let is_workbook = |member: &Source| member.name().contains("xl/workbook");
     let (code, message, remedy) = match several {
         [_, ..] => {
             let names: Vec<&str> = several.iter().map(|member| member.name()).collect();
             let message = format!("it has {} recordings: {}", several.len(), names.join(", "));
             (Code::Usage, message, "give one of them")
         }
-        [] if source.members().iter().any(is_workbook) => (
-            Code::UnknownFormat,
-            "this is an Excel workbook, which wimu does not read".to_owned(),
-            "save its sheet as CSV (UTF-8)",
-        ),
         [] if source.start().is_empty() && source.members().is_empty() => {
             (Code::CsvEmpty, "the file is empty".to_owned(), "record or export it again")
         }
@@ -241,7 +196,5 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Recording> {
     let source = Source::open(path)?;
     let mut recording = Recording::new(source.name());
     recording.format = read(&source, options, &mut recording)?;
-    recording.check(!options.poses)?;
-    recording.remove_zeros();
     Ok(recording)
 }

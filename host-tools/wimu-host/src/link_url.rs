@@ -207,9 +207,7 @@ impl Input {
                 .at(text)),
             };
         }
-        Ok(match formats::wimu::detect(&Source::open(path)?) {
-            true => Self::Recording(path.to_owned()),
-            false => Self::File(path.to_owned()),
-        })
+        let is_own = formats::is_own(&Source::open(path)?);
+        Ok(if is_own { Self::Recording(path.to_owned()) } else { Self::File(path.to_owned()) })
     }
 }

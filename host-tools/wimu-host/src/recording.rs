@@ -17,6 +17,8 @@
 
 mod beside;
 mod checks;
+mod gravity;
+mod intake;
 mod join;
 mod link;
 mod samples;
@@ -25,15 +27,16 @@ mod times;
 
 use wimu_model::SensorId;
 
+use crate::problem::Severity;
 use crate::stats::median;
 use crate::untrusted::printable;
-use crate::{Code, Problem, Severity};
-pub(crate) use checks::Unusable;
+use crate::{Code, Problem};
+pub(crate) use intake::{How, Intake};
 pub(crate) use link::{FORMAT as OF_WIMU, LinkRows};
 pub(crate) use samples::{ASSUMED_RATE_HZ, gaps_finding, no_usable_row, unit_of};
 pub use samples::{Output, OutputUnit, RateSource, Samples, Selection};
-pub(crate) use stamps::Stamps;
-pub(crate) use times::{BREAK_NS, REACH, rate_and_gaps};
+pub use stamps::Stamped;
+pub(crate) use times::{REACH, rate_and_gaps};
 
 /// What a track measures, with the SI unit of its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -73,30 +76,26 @@ impl Quantity {
 
     /// Symbol of the unit.
     pub fn si(self) -> &'static str {
-        match self {
-            Self::SpecificForce | Self::LinearAcceleration | Self::Gravity => "m/s²",
-            Self::AngularRate => "rad/s",
-            Self::MagneticField => "T",
-            Self::Temperature => "°C",
-            Self::Attitude | Self::Scalar => "1",
-            Self::Position => "m",
-            Self::Velocity => "m/s",
-        }
+        self.words().1
     }
 
     /// The standard term.
     pub fn name(self) -> &'static str {
+        self.words().0
+    }
+
+    fn words(self) -> (&'static str, &'static str) {
         match self {
-            Self::SpecificForce => "specific force",
-            Self::LinearAcceleration => "linear acceleration",
-            Self::Gravity => "gravity",
-            Self::AngularRate => "angular rate",
-            Self::MagneticField => "magnetic field",
-            Self::Temperature => "temperature",
-            Self::Attitude => "attitude",
-            Self::Position => "position",
-            Self::Velocity => "velocity",
-            Self::Scalar => "scalar",
+            Self::SpecificForce => ("specific force", "m/s²"),
+            Self::LinearAcceleration => ("linear acceleration", "m/s²"),
+            Self::Gravity => ("gravity", "m/s²"),
+            Self::AngularRate => ("angular rate", "rad/s"),
+            Self::MagneticField => ("magnetic field", "T"),
+            Self::Temperature => ("temperature", "°C"),
+            Self::Attitude => ("attitude", "1"),
+            Self::Position => ("position", "m"),
+            Self::Velocity => ("velocity", "m/s"),
+            Self::Scalar => ("scalar", "1"),
         }
     }
 }
@@ -159,6 +158,8 @@ pub struct TrackInfo {
     pub rate_hz: Option<f64>,
     /// Whether the file has no times, and those of the rows follow from an assumed rate.
     pub timeless: bool,
+    /// The stamps of the rows where they may be wrong: see [`Stamped`].
+    pub stamps: Option<Stamped>,
     /// The sensor, where a device identified it.
     pub device: Option<SensorId>,
     /// Id of the device that the sensor is of, where it identified itself.
@@ -181,6 +182,7 @@ impl TrackInfo {
             corrected: false,
             rate_hz: None,
             timeless: false,
+            stamps: None,
             device: None,
             device_id: None,
             full_scale: None,
@@ -218,6 +220,8 @@ pub trait Sink {
     fn gap(&mut self, _track: TrackId) {}
     /// Something noticed.
     fn finding(&mut self, finding: Problem);
+    /// A track has nothing: it is left out. Called once all rows were handed on, for the last of several tracks first.
+    fn leave_out(&mut self, _track: TrackId) {}
     /// Whether a file without inertial data serves.
     fn takes_any(&self) -> bool {
         false
@@ -281,7 +285,7 @@ impl Track {
 
     /// Median time between rows, s; `None` with fewer than two.
     pub fn median_step_s(&self) -> Option<f64> {
-        let steps = self.times_ns.windows(2).map(|pair| pair[1] - pair[0]);
+        let steps = self.times_ns.windows(2).map(|pair| pair[1].saturating_sub(pair[0]));
         let steps = steps.filter(|step| *step > 0).map(|step| step as f64);
         median(steps).map(|step_ns| step_ns * 1e-9)
     }
@@ -310,11 +314,6 @@ impl Recording {
         &self.tracks
     }
 
-    /// The same, to mask or scale them.
-    pub fn tracks_mut(&mut self) -> &mut [Track] {
-        &mut self.tracks
-    }
-
     /// Tracks of a quantity.
     pub fn of(&self, quantity: Quantity) -> impl Iterator<Item = &Track> {
         self.tracks.iter().filter(move |track| track.info.quantity == quantity)
@@ -329,7 +328,7 @@ impl Recording {
 
     /// Warnings and assumptions of reading, but for those that the caller reports itself.
     pub(crate) fn relevant(&self, of_caller: &[Code]) -> Vec<Problem> {
-        use crate::Code::{GravityAdded, UnitInferred, ZeroCount};
+        use Code::{GravityAdded, UnitInferred, ZeroCount};
         let is_news = |finding: &&Problem| {
             let assumed = matches!(finding.code, UnitInferred | ZeroCount | GravityAdded);
             let counts = assumed || finding.severity > Severity::Note;
@@ -362,6 +361,22 @@ impl Recording {
             }
         }
         recording
+    }
+
+    /// Hands its tracks and rows on, those that are masked as not a number.
+    pub(crate) fn hand_on(&self, sink: &mut dyn Sink) {
+        for track in &self.tracks {
+            let id = sink.track(track.info.clone());
+            let masked = &[f64::NAN; 4][..track.info.quantity.width()];
+            for (index, (time_ns, is_valid)) in track.times_ns.iter().zip(&track.valid).enumerate()
+            {
+                if track.gaps.binary_search(&index).is_ok() {
+                    sink.gap(id);
+                }
+                let row = track.row(index).filter(|_| *is_valid);
+                sink.row(id, *time_ns, row.unwrap_or(masked));
+            }
+        }
     }
 
     /// Time of the first row of any track, ns on the clock of the file.
@@ -399,6 +414,10 @@ impl Sink for Recording {
         if let Some(track) = self.tracks.get_mut(track.0) {
             track.gaps.push(track.times_ns.len());
         }
+    }
+
+    fn leave_out(&mut self, track: TrackId) {
+        self.tracks.remove(track.0);
     }
 
     /// Each finding is kept once.

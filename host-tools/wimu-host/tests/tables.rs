@@ -210,3 +210,17 @@ fn times_are_exact() {
     let wrapped = ns("Time (us)", &["4294957296", "4294967291", "9995", "19990"]);
     assert_eq!([1, 2, 3].map(|k| wrapped[k] - wrapped[k - 1]), [9_995_000, 10_000_000, 9_995_000]);
 }
+
+#[test]
+fn extreme_times_do_no_harm_and_times_without_an_order_are_refused() {
+    let rows = |time: &dyn Fn(usize) -> i64| -> String {
+        (0..300).map(|k| format!("{},0,{},1\n", time(k), k % 7)).collect()
+    };
+    let read = |rows: String| text(&format!("Time (ns),ax (g),ay (g),az (g)\n{rows}"));
+    let ends = [i64::MIN, i64::MAX, 0, -1, i64::MAX - 5, i64::MIN + 7];
+    if let Err(error) = read(rows(&|k| ends[k * k % 6])) {
+        assert_eq!(error.code, Code::DataRefused, "{error}");
+    }
+    let error = read(rows(&|k| 1000 * (k * 7919 % 300) as i64)).unwrap_err();
+    assert_eq!(error.code, Code::DataRefused, "{error}");
+}

@@ -173,7 +173,7 @@ impl Recording {
             let values = celsius.as_array().to_vec();
             add("temperature", Quantity::Temperature, Unit::Si, values, 1)?;
         }
-        data.check(!poses)?;
+        let data = data.checked(!poses)?;
         let mut options = ReadOptions::default();
         options.poses = poses;
         Ok(Self::new(data, options, None))

@@ -8,8 +8,8 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 use super::NoiseReport;
 use crate::formats::{self, ReadOptions, Source};
 use crate::recording::{
-    ASSUMED_RATE_HZ, BREAK_NS, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink,
-    Track, TrackId, TrackInfo, Unit, Unusable, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
+    ASSUMED_RATE_HZ, Origin, OutputUnit, Quantity, REACH, RateSource, Recording, Sink, Track,
+    TrackId, TrackInfo, Unit, gaps_finding, no_usable_row, rate_and_gaps, unit_of,
 };
 use crate::series::thin_out;
 use crate::stats::{median, norm};
@@ -45,15 +45,7 @@ pub fn noise_of(
     sensitivity: Option<Sensitivity>,
 ) -> Result<NoiseReport> {
     let mut stream = NoiseOfTracks::new(&recording.name, sensitivity);
-    for track in recording.tracks() {
-        let id = stream.track(track.info.clone());
-        for (index, time_ns) in track.times_ns().iter().enumerate() {
-            if track.gaps().binary_search(&index).is_ok() {
-                stream.gap(id);
-            }
-            stream.row(id, *time_ns, track.row(index).unwrap_or_default());
-        }
-    }
+    recording.hand_on(&mut stream);
     stream.finish(accelerometer)
 }
 
@@ -70,24 +62,17 @@ struct NoiseOfTracks {
     recording: Recording,
     /// One for each track.
     meters: Vec<TrackMeter>,
-    /// Earliest time of all tracks.
-    start_ns: Option<i64>,
     sensitivity: Option<Sensitivity>,
 }
 
 impl NoiseOfTracks {
     fn new(name: &str, sensitivity: Option<Sensitivity>) -> Self {
-        Self { recording: Recording::new(name), meters: Vec::new(), start_ns: None, sensitivity }
+        Self { recording: Recording::new(name), meters: Vec::new(), sensitivity }
     }
 
     /// The noise of the chosen accelerometer and of its gyroscope, or of a gyroscope where there is no accelerometer.
     fn finish(mut self, accelerometer: Option<u8>) -> Result<NoiseReport> {
-        let recording = &mut self.recording;
-        for (meter, track) in self.meters.iter().zip(0..) {
-            let info = recording.tracks()[track].info.clone();
-            let name = recording.name.clone();
-            (meter.unusable).report(&info, self.start_ns, &name, &mut recording.findings)?;
-        }
+        let recording = &self.recording;
         let chosen = recording.accelerometer(accelerometer);
         let sensor = chosen.as_ref().ok().map(|track| track.info.sensor);
         let is_gyroscope = |info: &TrackInfo| {
@@ -113,8 +98,10 @@ impl NoiseOfTracks {
         let (rate_hz, source) = rates[0];
         let name = &recording.name;
         if source == RateSource::Assumed {
-            let error = Code::DataRefused.error("the data have no times", "give --rate HZ");
-            return Err(error.at(name));
+            let is_cause = |finding: &&Problem| finding.code == Code::TimesUnordered;
+            let cause = recording.findings.iter().find(is_cause);
+            let text = cause.map_or("the data have no times", |finding| &finding.text);
+            return Err(Code::DataRefused.error(text, "give --rate HZ").at(name));
         }
         if let Some([before, after]) = force.or(rate).and_then(|k| self.meters[k].changed_rates()) {
             let text = format!("the sample rate changes from {before:.4} to {after:.4} Hz");
@@ -141,7 +128,6 @@ impl Sink for NoiseOfTracks {
     }
 
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        self.start_ns = Some(self.start_ns.map_or(time_ns, |start| start.min(time_ns)));
         let info = &self.recording.tracks()[track.0].info;
         if matches!(info.quantity, Quantity::SpecificForce | Quantity::AngularRate) {
             self.meters[track.0].take(info, time_ns, values);
@@ -152,6 +138,11 @@ impl Sink for NoiseOfTracks {
         self.meters[track.0].after_gap = true;
     }
 
+    fn leave_out(&mut self, track: TrackId) {
+        self.meters.remove(track.0);
+        self.recording.leave_out(track);
+    }
+
     fn finding(&mut self, finding: Problem) {
         self.recording.finding(finding);
     }
@@ -160,7 +151,6 @@ impl Sink for NoiseOfTracks {
 /// The noise of a track while its rows are read.
 struct TrackMeter {
     sensitivity: Option<Sensitivity>,
-    unusable: Unusable,
     /// Times, values and whether the file says that samples are missing before. The first `done` of them were measured and
     /// are kept for the judgement of the next ones.
     rows: Vec<(i64, [f64; 3], bool)>,
@@ -169,8 +159,8 @@ struct TrackMeter {
     allan: Box<AllanVariance>,
     /// m/s² of one unit, once it is known.
     scale: Option<f64>,
-    /// Total length of the steps without gaps and breaks, ns, and their number.
-    steps: (i128, u64),
+    /// Time and number of the samples with times, s.
+    sampled: (f64, u64),
     /// Number of gaps and their total length, s.
     gaps: (usize, f64),
     /// Latest steps, and the median of each [`STEPS`] of them, ns.
@@ -183,13 +173,12 @@ impl TrackMeter {
     fn new(sensitivity: Option<Sensitivity>) -> Self {
         Self {
             sensitivity,
-            unusable: Unusable::default(),
             rows: Vec::new(),
             done: 0,
             after_gap: false,
             allan: Box::new(AllanVariance::new(1.0)),
             scale: None,
-            steps: (0, 0),
+            sampled: (0.0, 0),
             gaps: (0, 0.0),
             recent: Vec::new(),
             medians: Vec::new(),
@@ -199,12 +188,11 @@ impl TrackMeter {
 
     fn take(&mut self, info: &TrackInfo, time_ns: i64, values: &[f64]) {
         let vector = <[f64; 3]>::try_from(values).unwrap_or([f64::NAN; 3]);
-        let is_valid = vector.iter().all(|axis| axis.is_finite());
-        if !self.unusable.see(time_ns, is_valid, true).1 {
+        if !vector.iter().all(|axis| axis.is_finite()) {
             return;
         }
         if let Some(last_ns) = self.last_ns.replace(time_ns) {
-            self.recent.push(time_ns - last_ns);
+            self.recent.push(time_ns.saturating_sub(last_ns));
         }
         if self.recent.len() >= STEPS {
             self.recent.sort_unstable();
@@ -227,11 +215,13 @@ impl TrackMeter {
     /// Measures the rows up to an index.
     fn measure(&mut self, info: &TrackInfo, end: usize) {
         let times: Vec<i64> = self.rows.iter().map(|row| row.0).collect();
-        let (rate_hz, gaps) = match info.timeless {
-            true => None,
-            false => rate_and_gaps(&times),
+        let by_times = rate_and_gaps(&times).filter(|_| !info.timeless);
+        if let Some((rate_hz, _)) = by_times {
+            let count = end - self.done;
+            self.sampled.0 += count as f64 / rate_hz;
+            self.sampled.1 += count as u64;
         }
-        .unwrap_or((ASSUMED_RATE_HZ, Vec::new()));
+        let (rate_hz, gaps) = by_times.unwrap_or((ASSUMED_RATE_HZ, Vec::new()));
         let stated_hz = info.rate_hz.filter(|_| !info.timeless);
         let scale = *self.scale.get_or_insert_with(|| {
             let of = match info.quantity {
@@ -247,9 +237,6 @@ impl TrackMeter {
             let (time_ns, value, after_gap) = self.rows[index];
             let step_ns = time_ns.saturating_sub(times[index.saturating_sub(1)]);
             let is_seen = gaps.next_if_eq(&index).is_some();
-            if index > 0 && !is_seen && (0..=BREAK_NS).contains(&step_ns) {
-                self.steps = (self.steps.0 + i128::from(step_ns), self.steps.1 + 1);
-            }
             if index > 0 && (is_seen && stated_hz.is_none() || after_gap) {
                 self.allan.gap();
                 let period_s = 1.0 / stated_hz.unwrap_or(rate_hz);
@@ -276,11 +263,11 @@ impl TrackMeter {
     /// Measures the rows that are left; returns the rate, Hz, and its source, or `None` without rows.
     fn finish(&mut self, info: &TrackInfo) -> Option<(f64, RateSource)> {
         self.measure(info, self.rows.len());
-        let (total_ns, steps) = self.steps;
+        let (time_s, count) = self.sampled;
         let (rate_hz, source) = match info.rate_hz {
             _ if info.timeless => (ASSUMED_RATE_HZ, RateSource::Assumed),
             Some(rate_hz) => (rate_hz, RateSource::Device),
-            None if total_ns > 0 => (1e9 / (total_ns as f64 / steps as f64), RateSource::Times),
+            None if count > 0 => (count as f64 / time_s, RateSource::Times),
             None => (ASSUMED_RATE_HZ, RateSource::Assumed),
         };
         self.allan.set_rate(rate_hz);

@@ -411,7 +411,9 @@ impl Table {
             times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
             saturated: vec![0; times.len()],
             outputs: vec![Vec::with_capacity(sensors); times.len()],
-            remarks: (file.relevant(&[Code::RowsMasked]).iter()).map(ToString::to_string).collect(),
+            remarks: (file.relevant(&[Code::RowsMasked, Code::Frozen]).iter())
+                .map(ToString::to_string)
+                .collect(),
             ..ArrayRecording::default()
         };
         if times.len() < 4 {

@@ -13,25 +13,25 @@ pub fn is_none(text: &str) -> bool {
         || text.parse::<f64>().is_ok_and(|value| !value.is_finite())
 }
 
-/// `text` · 10^`exponent` as an integer, rounded half away from zero, in integer arithmetic so
-/// that a UTC time in seconds keeps its nanoseconds. `None` if it is not a decimal number or does not fit.
-pub fn decimal(text: &str, exponent: i32) -> Option<i64> {
-    // Digits after the 20th of a fraction are far below a nanosecond.
-    const MAX_FRACTION: usize = 20;
+/// `text` × `factor` as an integer, rounded half away from zero, in integer arithmetic so that a UTC time in seconds keeps
+/// its nanoseconds. `None` if it is not a decimal number or does not fit.
+pub fn multiplied(text: &str, factor: i64) -> Option<i64> {
+    // Digits after the 15th of a fraction are far below a nanosecond.
+    const MAX_FRACTION: usize = 15;
     if finite(text)? == 0.0 {
         return Some(0);
     }
     let (mantissa, power) = text.split_once(['e', 'E']).unwrap_or((text, "0"));
     let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
     let fraction = &fraction[..fraction.len().min(MAX_FRACTION)];
-    let digits: i128 = format!("{whole}{fraction}").parse().ok()?;
-    let power = power.parse::<i32>().ok()?.checked_add(exponent)?;
-    let shift = power.checked_sub(i32::try_from(fraction.len()).ok()?)?;
-    let factor = 10_i128.checked_pow(shift.unsigned_abs());
-    let value = match (shift >= 0, factor) {
-        (true, factor) => digits.checked_mul(factor?)?,
-        (false, Some(divisor)) => (digits + digits.signum() * (divisor / 2)) / divisor,
-        (false, None) => 0,
+    let digits = format!("{whole}{fraction}").parse::<i128>().ok()?.checked_mul(factor.into())?;
+    let shift = power.parse::<i32>().ok()?.checked_sub(i32::try_from(fraction.len()).ok()?)?;
+    let power = 10_i128.checked_pow(shift.unsigned_abs());
+    let value = match power {
+        Some(power) if shift >= 0 => digits.checked_mul(power)?,
+        Some(power) => (digits + digits.signum() * (power / 2)) / power,
+        None if shift < 0 => 0,
+        None => return None,
     };
     i64::try_from(value).ok()
 }

@@ -15,13 +15,11 @@
 
 mod dataflash;
 
-use std::collections::HashMap;
-
-use self::dataflash::{Field, Format, Units};
-use super::autopilot::{Choice, Family, Role, Rows, Topic};
+use self::dataflash::{Format, Units};
+use super::autopilot::{self, Family, Role, Topic};
 use super::{ReadOptions, Source, ned};
 use crate::Result;
-use crate::recording::{Quantity, Sink, TrackId};
+use crate::recording::{Quantity, Sink};
 
 /// rad.
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -66,40 +64,19 @@ pub(super) fn detect(source: &Source) -> bool {
     source.start().starts_with(&dataflash::START)
 }
 
-/// Reads it: first the number of rows of each message and the units, then the rows.
+/// Reads it.
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
-    let mut rows = Rows::default();
-    let mut units = Units::default();
-    let (damage, length) = dataflash::walk(source, &mut |format, message| {
-        let (topic, instance) = topic_of(format, message);
-        rows.add(topic, instance);
-        units.take(format, message);
-    })?;
-    damage.refuse_most(source, length)?;
-    let mut options = options.clone();
-    options.topic = options.topic.map(|topic| match split(&topic) {
+    let asked = options.topic.as_ref().map(|topic| match split(topic) {
         (name, Some(instance)) => format!("{name}[{instance}]"),
-        _ => topic,
+        _ => topic.clone(),
     });
-    let choice = Choice::of(TOPICS, &rows, &options, source)?;
-    let finding = damage.finding(0..length);
-    finding.into_iter().for_each(|finding| sink.finding(finding));
-    choice.report(&rows, sink);
-
-    let mut plans: HashMap<(u8, u8), Vec<Plan>> = HashMap::new();
-    dataflash::walk(source, &mut |format, message| {
-        let (topic, instance) = topic_of(format, message);
-        let plans = plans.entry((format.id, instance));
-        let plans = plans.or_insert_with(|| {
-            let topics = TOPICS.iter().filter(|of| of.name == topic);
-            let read = topics.filter(|topic| choice.takes(topic, instance));
-            read.filter_map(|topic| Plan::new(topic, instance, format, &units, sink)).collect()
-        });
-        for plan in plans {
-            plan.hand_on(message, sink);
-        }
-    })?;
-    Ok(())
+    let mut units = Units::default();
+    autopilot::read(TOPICS, asked.as_deref(), source, sink, &mut |each| {
+        dataflash::walk(source, &mut |format, bytes| {
+            units.take(format, bytes);
+            each(&Message { format, bytes, units: &units });
+        })
+    })
 }
 
 /// Topic and instance of `IMU2`: `IMU` and 1.
@@ -113,65 +90,50 @@ fn split(name: &str) -> (&str, Option<u8>) {
     (name, None)
 }
 
-/// Topic and instance of a message.
-fn topic_of<'a>(format: &'a Format, message: &[u8]) -> (&'a str, u8) {
-    let (topic, instance) = split(&format.name);
-    let field = format.field("I").or_else(|| format.field("C"));
-    let field = field.and_then(|field| field.read(message));
-    let known = TOPICS.iter().any(|of| of.name == topic);
-    let instance = field.filter(|_| known).map(|value| value as u8).or(instance);
-    (topic, instance.unwrap_or(0))
+/// A message with the units of its log.
+struct Message<'a> {
+    format: &'a Format,
+    bytes: &'a [u8],
+    units: &'a Units,
 }
 
-/// How messages become rows of a track.
-struct Plan {
-    track: TrackId,
-    topic: &'static Topic,
-    time: Field,
-    /// µs.
-    time_unit: f64,
-    /// Fields, and SI units of one of their units.
-    values: Vec<(Field, f64)>,
-}
-
-impl Plan {
-    /// `None` if the format lacks a field.
-    fn new(
-        topic: &'static Topic,
-        instance: u8,
-        format: &Format,
-        units: &Units,
-        sink: &mut dyn Sink,
-    ) -> Option<Self> {
-        let mut values = Vec::new();
-        for name in topic.fields {
-            let field = format.field(name)?;
-            let unit = units.of(format, field);
-            let named = unit.and_then(|(unit, factor)| Some(si(unit)? * factor));
-            values.push((field, named.unwrap_or(topic.si)));
-        }
-        let times = [("SampleUS", 1.0), ("TimeUS", 1.0), ("TimeMS", 1e3)];
-        let mut times = times.iter();
-        let (time, time_unit) =
-            times.find_map(|(name, unit)| Some((format.field(name)?, *unit)))?;
-        let name = match split(&format.name) {
-            (_, None) if topic.role != Role::Estimate => format!("{}[{instance}]", format.name),
-            _ => format.name.clone(),
-        };
-        Some(Self { track: topic.track(&name, instance, sink), topic, time, time_unit, values })
+impl autopilot::Message for Message<'_> {
+    fn topic(&self) -> (&str, u8) {
+        let (topic, instance) = split(&self.format.name);
+        let field = self.format.field("I").or_else(|| self.format.field("C"));
+        let field = field.and_then(|field| field.read(self.bytes));
+        let known = TOPICS.iter().any(|of| of.name == topic);
+        let instance = field.filter(|_| known).map(|value| value as u8).or(instance);
+        (topic, instance.unwrap_or(0))
     }
 
-    fn hand_on(&self, message: &[u8], sink: &mut dyn Sink) {
-        let Some(time) = self.time.read(message) else {
-            return;
-        };
-        let mut row = [f64::NAN; 4];
-        for (value, (field, si)) in row.iter_mut().zip(&self.values) {
-            *value = field.read(message).unwrap_or(f64::NAN) * si;
+    fn name(&self, topic: &Topic) -> String {
+        let name = &self.format.name;
+        if topic.role == Role::Estimate || split(name).1.is_some() {
+            return name.clone();
         }
-        if self.topic.quantity == Quantity::Attitude {
+        format!("{name}[{}]", self.topic().1)
+    }
+
+    fn time_us(&self, _: &Topic) -> Option<(f64, bool)> {
+        let times = [("SampleUS", 1.0), ("TimeUS", 1.0), ("TimeMS", 1e3)];
+        let mut times = times.iter();
+        let (field, unit) =
+            times.find_map(|(name, unit)| Some((self.format.field(name)?, *unit)))?;
+        Some((field.read(self.bytes)? * unit, true))
+    }
+
+    fn values(&self, topic: &Topic) -> Option<[f64; 4]> {
+        let mut row = [f64::NAN; 4];
+        for (value, name) in row.iter_mut().zip(topic.fields) {
+            let field = self.format.field(name)?;
+            let unit = self.units.of(self.format, field);
+            let named = unit.and_then(|(unit, factor)| Some(si(unit)? * factor));
+            *value = field.read(self.bytes).unwrap_or(f64::NAN) * named.unwrap_or(topic.si);
+        }
+        if topic.quantity == Quantity::Attitude {
             row = ned::of_angles([row[0], row[1], row[2]]);
         }
-        self.topic.row(self.track, time * self.time_unit, row, sink);
+        Some(row)
     }
 }

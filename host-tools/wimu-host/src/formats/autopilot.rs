@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use super::window::no_inertial_data;
-use super::{ReadOptions, Source, ned};
+use super::window::{Damage, no_inertial_data};
+use super::{Source, ned};
 use crate::plural::counted;
-use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::recording::{Origin, Quantity, Sink, Stamped, TrackId, TrackInfo, Unit};
 use crate::{Code, Result};
 
 /// Origin of a topic's values.
@@ -28,6 +28,13 @@ pub(super) enum Family {
 }
 
 const FAMILIES: [Family; 2] = [Family::Inertial, Family::Magnetic];
+
+impl Family {
+    /// The two between which there is a choice.
+    fn roles(self) -> [Role; 2] {
+        [Role::Raw(self), Role::Processed(self)]
+    }
+}
 
 /// Fields of a topic that make a track.
 pub(super) struct Topic {
@@ -61,15 +68,14 @@ impl Topic {
     }
 
     /// The track of an instance, whose message has a name of its own.
-    pub(super) fn track(&self, name: &str, instance: u8, sink: &mut dyn Sink) -> TrackId {
+    fn track(&self, name: &str, instance: u8, stamps: Stamped, sink: &mut dyn Sink) -> TrackId {
         let estimate = self.role == Role::Estimate;
-        let name = match estimate {
-            true => format!("{name} (east-north-up)"),
-            false => name.to_owned(),
-        };
+        let suffix = if estimate { " (east-north-up)" } else { "" };
+        let name = format!("{name}{suffix}");
         let mut info = TrackInfo::new(name, self.quantity, Unit::Si).of_sensor(instance);
         info.corrected =
             matches!(self.role, Role::Processed(_)) && self.quantity != Quantity::Temperature;
+        info.stamps = Some(stamps);
         if estimate {
             info = info.made_by(Origin::Estimate);
         }
@@ -77,7 +83,7 @@ impl Topic {
     }
 
     /// Hands a row to the sink; values of an estimate are in north-east-down axes.
-    pub(super) fn row(&self, track: TrackId, time_us: f64, values: [f64; 4], sink: &mut dyn Sink) {
+    fn row(&self, track: TrackId, time_us: f64, values: [f64; 4], sink: &mut dyn Sink) {
         let [a, b, c, _] = values;
         let values = match (self.role, self.quantity) {
             (Role::Estimate, Quantity::Attitude) => ned::attitude(values),
@@ -92,16 +98,71 @@ impl Topic {
     }
 }
 
+/// A message of a log.
+pub(super) trait Message {
+    /// Its topic and the instance of it.
+    fn topic(&self) -> (&str, u8);
+    /// Name of its tracks.
+    fn name(&self, topic: &Topic) -> String;
+    /// Time of the values of a topic, µs, and whether they are valid.
+    fn time_us(&self, topic: &Topic) -> Option<(f64, bool)>;
+    /// Values of a topic, in SI.
+    fn values(&self, topic: &Topic) -> Option<[f64; 4]>;
+}
+
+/// Reads a log, hands its messages on, and returns its damage and its length in bytes.
+pub(super) type Walk<'a> = dyn FnMut(&mut dyn FnMut(&dyn Message)) -> Result<(Damage, u64)> + 'a;
+
+/// Reads a log: first the number of rows of each topic, which decides what is read, then the rows.
+pub(super) fn read(
+    topics: &'static [Topic],
+    asked: Option<&str>,
+    source: &Source,
+    sink: &mut dyn Sink,
+    walk: &mut Walk,
+) -> Result<()> {
+    let mut rows = Rows::default();
+    let (damage, length) = walk(&mut |message| {
+        let (topic, instance) = message.topic();
+        rows.add(topic, instance);
+    })?;
+    damage.refuse_most(source, length)?;
+    let choice = Choice::of(topics, &rows, asked, source)?;
+    damage.findings(0..length).into_iter().for_each(|finding| sink.finding(finding));
+    choice.report(&rows, sink);
+    let mut tracks: BTreeMap<(usize, String), TrackId> = BTreeMap::new();
+    walk(&mut |message| {
+        let (name, instance) = message.topic();
+        let read = topics.iter().enumerate().filter(|(_, topic)| topic.name == name);
+        for (index, topic) in read.filter(|(_, topic)| choice.takes(topic, instance)) {
+            let (Some((time_us, is_valid)), Some(values)) =
+                (message.time_us(topic), message.values(topic))
+            else {
+                continue;
+            };
+            let name = message.name(topic);
+            let mut alike = tracks.iter().filter(|((_, other), _)| *other == name);
+            let first = alike.next().map(|(_, track)| *track);
+            let stamps = first.map_or(Stamped::By(Some(1000)), Stamped::Like);
+            let track = *(tracks.entry((index, name)))
+                .or_insert_with_key(|(_, name)| topic.track(name, instance, stamps, sink));
+            let values = if is_valid { values } else { [f64::NAN; 4] };
+            topic.row(track, time_us, values, sink);
+        }
+    })?;
+    Ok(())
+}
+
 /// Most topics that are counted; PX4 has fewer than 300.
 const MAX_TOPICS: usize = 1024;
 
 /// Number of rows of each topic and instance.
 #[derive(Default)]
-pub(super) struct Rows(BTreeMap<String, BTreeMap<u8, usize>>);
+struct Rows(BTreeMap<String, BTreeMap<u8, usize>>);
 
 impl Rows {
     /// Counts a row.
-    pub(super) fn add(&mut self, topic: &str, instance: u8) {
+    fn add(&mut self, topic: &str, instance: u8) {
         if !self.0.contains_key(topic) && self.0.len() < MAX_TOPICS {
             self.0.insert(topic.to_owned(), BTreeMap::new());
         }
@@ -126,16 +187,11 @@ impl Rows {
         names
     }
 
-    /// `sensor_accel (3 instances, 6 rows)`: most rows of one instance.
+    /// `sensor_accel (6 rows)`: most rows of one instance.
     fn described(&self, topics: &[&str]) -> String {
         let described = topics.iter().map(|topic| {
-            let instances = self.0.get(*topic);
-            let most = instances.and_then(|instances| instances.values().max());
-            let rows = counted(most.copied().unwrap_or(0), "row");
-            match instances.map_or(0, BTreeMap::len) {
-                0 | 1 => format!("{topic} ({rows})"),
-                several => format!("{topic} ({several} instances, {rows})"),
-            }
+            let most = self.0.get(*topic).and_then(|instances| instances.values().max());
+            format!("{topic} ({})", counted(most.copied().unwrap_or(0), "row"))
         });
         described.collect::<Vec<_>>().join(", ")
     }
@@ -143,96 +199,74 @@ impl Rows {
 
 /// Which topics of sensors are read: the raw ones, unless the processed ones have more rows or
 /// are asked for.
-pub(super) struct Choice {
+struct Choice {
     topics: &'static [Topic],
     asked: Option<(&'static Topic, Option<u8>)>,
-    raw: [bool; FAMILIES.len()],
+    /// Of each family.
+    read: [Role; FAMILIES.len()],
 }
 
 impl Choice {
     /// # Errors
     /// `usage` for a topic that the file does not have; `no_rows` if it has no inertial data.
-    pub(super) fn of(
+    fn of(
         topics: &'static [Topic],
         rows: &Rows,
-        options: &ReadOptions,
+        wanted: Option<&str>,
         source: &Source,
     ) -> Result<Self> {
-        let inertial = [Role::Raw(Family::Inertial), Role::Processed(Family::Inertial)];
-        if inertial.iter().all(|role| rows.most(topics, *role) == 0) {
-            let wanted: Vec<&str> = topics
-                .iter()
-                .filter(|topic| inertial.contains(&topic.role) && topic.quantity.width() == 3)
-                .map(|topic| topic.name)
-                .collect();
+        let most = |role| rows.most(topics, role);
+        let inertial = Family::Inertial.roles();
+        if inertial.iter().all(|role| most(*role) == 0) {
+            let is_sensor =
+                |topic: &&Topic| inertial.contains(&topic.role) && topic.quantity.width() == 3;
+            let sensors = topics.iter().filter(is_sensor).map(|topic| topic.name);
             let found: Vec<String> = rows.0.keys().cloned().collect();
-            return Err(no_inertial_data(source, &wanted.join(", "), &found));
+            let sensors = sensors.collect::<Vec<_>>().join(", ");
+            return Err(no_inertial_data(source, &sensors, &found));
         }
-        let mut choice = Self {
-            topics,
-            asked: None,
-            raw: FAMILIES.map(|family| {
-                let most = |role| rows.most(topics, role);
-                most(Role::Raw(family)) >= most(Role::Processed(family))
-            }),
+        let mut read = FAMILIES.map(|family| {
+            let [raw, processed] = family.roles();
+            if most(raw) >= most(processed) { raw } else { processed }
+        });
+        let Some(text) = wanted else {
+            return Ok(Self { topics, asked: None, read });
         };
-        if let Some(text) = &options.topic {
-            let asked = asked(text, topics, rows).ok_or_else(|| {
-                let found = roles().flat_map(|role| rows.topics(topics, role));
-                let found: Vec<&str> = found.collect();
-                Code::Usage
-                    .error(
-                        format!("`{text}` is no topic of sensors in it"),
-                        format!("choose one of {}", rows.described(&found)),
-                    )
-                    .at(source.name())
-            })?;
-            match asked.0.role {
-                Role::Raw(family) => choice.raw[family as usize] = true,
-                Role::Processed(family) => choice.raw[family as usize] = false,
-                Role::Estimate => (),
-            }
-            choice.asked = Some(asked);
-        }
-        Ok(choice)
+        let asked = asked(text, topics, rows).ok_or_else(|| {
+            let roles = FAMILIES.into_iter().flat_map(Family::roles);
+            let found: Vec<&str> = roles.flat_map(|role| rows.topics(topics, role)).collect();
+            let remedy = format!("choose one of {}", rows.described(&found));
+            let text = format!("`{text}` is no topic of sensors in it");
+            Code::Usage.error(text, remedy).at(source.name())
+        })?;
+        let role = asked.0.role;
+        let families = FAMILIES.into_iter().zip(&mut read);
+        families.filter(|(family, _)| family.roles().contains(&role)).for_each(|(_, r)| *r = role);
+        Ok(Self { topics, asked: Some(asked), read })
     }
 
     /// Whether an instance of a topic is read.
-    pub(super) fn takes(&self, topic: &Topic, instance: u8) -> bool {
+    fn takes(&self, topic: &Topic, instance: u8) -> bool {
         let asked = self.asked.filter(|(asked, _)| asked.role == topic.role);
         let only = asked.and_then(|(_, instance)| instance);
-        let role = match topic.role {
-            Role::Raw(family) => self.raw[family as usize],
-            Role::Processed(family) => !self.raw[family as usize],
-            Role::Estimate => true,
-        };
-        role && only.is_none_or(|only| only == instance)
+        let is_read = topic.role == Role::Estimate || self.read.contains(&topic.role);
+        is_read && only.is_none_or(|only| only == instance)
     }
 
     /// Names the topics of sensors that are read and those that are not.
-    pub(super) fn report(&self, rows: &Rows, sink: &mut dyn Sink) {
-        for family in FAMILIES {
-            let (read, left) = match self.raw[family as usize] {
-                true => (Role::Raw(family), Role::Processed(family)),
-                false => (Role::Processed(family), Role::Raw(family)),
-            };
-            let [read, left] = [read, left].map(|role| rows.topics(self.topics, role));
+    fn report(&self, rows: &Rows, sink: &mut dyn Sink) {
+        for (family, role) in FAMILIES.into_iter().zip(self.read) {
+            let others = family.roles().into_iter().find(|other| *other != role);
+            let left = others.map(|role| rows.topics(self.topics, role)).unwrap_or_default();
+            let read = rows.topics(self.topics, role);
             if let (Some(_), Some(other)) = (read.first(), left.first()) {
                 let (read, left) = (rows.described(&read), rows.described(&left));
-                let evidence = format!("read: {read}; not read: {left}");
-                let finding = Code::TrackChosen.note(evidence);
-                sink.finding(finding.remedy(format!("`--topic {other}` reads {other} instead")));
+                let problem = Code::TrackChosen.note(format!("read: {read}; not read: {left}"));
+                sink.finding(problem.remedy(format!("`--topic {other}` reads {other} instead")));
             }
         }
-        let evidence = "times count from the start of the autopilot";
-        sink.finding(Code::Clock.note(evidence));
+        sink.finding(Code::Clock.note("times count from the start of the autopilot"));
     }
-}
-
-/// Roles between which there is a choice.
-fn roles() -> impl Iterator<Item = Role> {
-    let roles = |family| [Role::Raw(family), Role::Processed(family)];
-    FAMILIES.into_iter().flat_map(roles)
 }
 
 /// The topic, and the instance, of `NAME` or `NAME[INSTANCE]`, if the file has it.

@@ -19,7 +19,7 @@ use self::header::{Header, MARKER};
 use super::window::{Window, no_inertial_data};
 use super::{ReadOptions, Source};
 use crate::plural::counted;
-use crate::recording::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::recording::{Quantity, Sink, Stamped, TrackId, TrackInfo, Unit};
 use crate::{Code, Result};
 
 /// m/s² (CODATA; the value that 1 g stands for).
@@ -71,8 +71,12 @@ pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) 
         Code::BadRecording.error(message, remedy).at(source.name())
     })?;
     report(&logs, chosen, sink);
-    let tracks = fields.iter().map(|field| track(*field, &header, sink));
-    let tracks: Vec<(TrackId, f64)> = tracks.collect();
+    let mut tracks: Vec<(TrackId, f64)> = Vec::new();
+    for field in &fields {
+        let stamps =
+            tracks.first().map_or(Stamped::By(Some(1000)), |(first, _)| Stamped::Like(*first));
+        tracks.push(track(*field, &header, stamps, sink));
+    }
     decoder.decode(&mut window, &mut |time_us, values| {
         for ((track, factor), axes) in tracks.iter().zip(values.chunks_exact(3)) {
             let row = [axes[0], axes[1], axes[2]].map(|count| count as f64 * factor);
@@ -178,7 +182,7 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
         sink.finding(finding.remedy("`--topic \"log N\"` reads another"));
     }
     let [start, end] = logs[chosen].span;
-    let damage = logs[chosen].summary.damage.finding(start..end);
+    let damage = logs[chosen].summary.damage.findings(start..end);
     damage.into_iter().for_each(|finding| sink.finding(finding));
     let lost = logs[chosen].summary.lost;
     if lost > 0 {
@@ -195,6 +199,7 @@ fn report(logs: &[Log], chosen: usize, sink: &mut dyn Sink) {
 fn track(
     (field, quantity): (&str, Quantity),
     header: &Header,
+    stamps: Stamped,
     sink: &mut dyn Sink,
 ) -> (TrackId, f64) {
     let positive = |name| header.number(name).filter(|value| *value > 0.0 && value.is_finite());
@@ -215,5 +220,6 @@ fn track(
     };
     let mut info = TrackInfo::new(field, quantity, unit);
     info.corrected = quantity != Quantity::MagneticField;
+    info.stamps = Some(stamps);
     (sink.track(info), factor)
 }

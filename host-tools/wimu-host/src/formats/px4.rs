@@ -15,14 +15,11 @@
 
 mod ulog;
 
-use std::collections::HashMap;
-
-use self::ulog::{Field, Layout, Message, Subscription};
-use super::autopilot::{Choice, Family, Role, Rows, Topic};
+use self::ulog::Subscription;
+use super::autopilot::{self, Family, Role, Topic};
 use super::{ReadOptions, Source};
-use crate::plural::counted;
-use crate::recording::{Quantity, Sink, TrackId};
-use crate::{Code, Result};
+use crate::Result;
+use crate::recording::{Quantity, Sink};
 
 /// Of `accelerometer_timestamp_relative`: there is no new acceleration (`sensor_combined.msg`).
 const INVALID_RELATIVE_TIME: f64 = i32::MAX as f64;
@@ -64,108 +61,51 @@ pub(super) fn detect(source: &Source) -> bool {
     source.start().starts_with(&ulog::MAGIC)
 }
 
-/// Reads it: first the number of rows of each topic, which decides what is read, then the rows.
+/// Reads it.
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
-    let mut rows = Rows::default();
-    let (mut dropouts, mut lost_ms) = (0_usize, 0_u64);
-    let (damage, length) = ulog::walk(source, &mut |message| match message {
-        Message::Data(_, of, _) => rows.add(&of.name, of.instance),
-        Message::Dropout(duration_ms) => {
-            dropouts += 1;
-            lost_ms += u64::from(duration_ms);
-        }
-    })?;
-    damage.refuse_most(source, length)?;
-    let choice = Choice::of(TOPICS, &rows, options, source)?;
-    let finding = damage.finding(0..length);
-    finding.into_iter().for_each(|finding| sink.finding(finding));
-    if dropouts > 0 {
-        let times = counted(dropouts, "dropout");
-        let evidence = format!("{times} of the logger, {lost_ms} ms in all");
-        let finding = Code::Rate.warning(evidence);
-        sink.finding(finding.remedy("log fewer topics, or use a faster memory card"));
-    }
-    choice.report(&rows, sink);
-
-    let mut plans: HashMap<u16, Vec<Plan>> = HashMap::new();
-    ulog::walk(source, &mut |message| {
-        if let Message::Data(id, of, payload) = message {
-            let plans = plans.entry(id);
-            for plan in plans.or_insert_with(|| Plan::all(of, &choice, sink)) {
-                plan.hand_on(payload, sink);
-            }
-        }
-    })?;
-    Ok(())
+    autopilot::read(TOPICS, options.topic.as_deref(), source, sink, &mut |each| {
+        ulog::walk(source, &mut |of, payload| each(&Data { of, payload }))
+    })
 }
 
-/// How the messages of a subscription become rows of a track.
-struct Plan {
-    track: TrackId,
-    topic: &'static Topic,
-    time: Field,
-    relative_time: Option<Field>,
-    /// Field and element of each value.
-    values: Vec<(Field, usize)>,
-    valid: Vec<Field>,
+/// Values of a topic.
+struct Data<'a> {
+    of: &'a Subscription,
+    payload: &'a [u8],
 }
 
-impl Plan {
-    /// Those of a subscription.
-    fn all(of: &Subscription, choice: &Choice, sink: &mut dyn Sink) -> Vec<Self> {
-        let topics = TOPICS.iter().filter(|topic| topic.name == of.name);
-        let read = topics.filter(|topic| choice.takes(topic, of.instance));
-        let layout = of.layout.as_ref();
-        read.filter_map(|topic| Self::new(topic, of, layout?, sink)).collect()
+impl Data<'_> {
+    fn field(&self, name: &str, element: usize) -> Option<f64> {
+        self.of.layout.as_ref()?.field(name)?.read(self.payload, element)
+    }
+}
+
+impl autopilot::Message for Data<'_> {
+    fn topic(&self) -> (&str, u8) {
+        (&self.of.name, self.of.instance)
     }
 
-    /// `None` if the format lacks a field.
-    fn new(
-        topic: &'static Topic,
-        of: &Subscription,
-        layout: &Layout,
-        sink: &mut dyn Sink,
-    ) -> Option<Self> {
-        let width = topic.quantity.width();
-        let mut values = Vec::new();
-        for name in topic.fields {
-            let field = layout.field(name)?;
-            let elements = 0..field.count.min(width - values.len());
-            values.extend(elements.map(|element| (field.clone(), element)));
-        }
-        let fields = |names: &[&str]| -> Vec<Field> {
-            let fields = names.iter().filter_map(|name| layout.field(name));
-            fields.cloned().collect()
-        };
-        let time = layout.field("timestamp")?.clone();
-        let name = format!("{}[{}]", topic.name, of.instance);
-        (values.len() == width).then(|| Self {
-            track: topic.track(&name, of.instance, sink),
-            topic,
-            time,
-            relative_time: fields(topic.relative_time.as_slice()).pop(),
-            values,
-            valid: fields(topic.valid),
-        })
+    fn name(&self, topic: &Topic) -> String {
+        format!("{}[{}]", topic.name, self.of.instance)
     }
 
-    fn hand_on(&self, payload: &[u8], sink: &mut dyn Sink) {
-        let Some(mut time_us) = self.time.read(payload, 0) else {
-            return;
-        };
-        let relative = self.relative_time.as_ref();
-        let relative = relative.and_then(|field| field.read(payload, 0));
-        let mut valid = relative != Some(INVALID_RELATIVE_TIME);
-        if let Some(relative) = relative.filter(|_| valid) {
-            time_us += relative;
-        }
-        valid &=
-            self.valid.iter().all(|flag| flag.read(payload, 0).is_some_and(|flag| flag != 0.0));
+    fn time_us(&self, topic: &Topic) -> Option<(f64, bool)> {
+        let time_us = self.field("timestamp", 0)?;
+        let relative = topic.relative_time.and_then(|name| self.field(name, 0));
+        let flag = |name: &&str| self.field(name, 0).is_none_or(|flag| flag != 0.0);
+        let is_valid = relative != Some(INVALID_RELATIVE_TIME) && topic.valid.iter().all(flag);
+        let relative = relative.filter(|_| is_valid).unwrap_or(0.0);
+        Some((time_us + relative, is_valid))
+    }
+
+    fn values(&self, topic: &Topic) -> Option<[f64; 4]> {
         let mut row = [f64::NAN; 4];
-        for (value, (field, element)) in row.iter_mut().zip(&self.values) {
-            let read = field.read(payload, *element).filter(|_| valid);
-            *value = read.unwrap_or(f64::NAN) * self.topic.si;
+        let is_array = topic.fields.len() < topic.quantity.width();
+        for (k, value) in row.iter_mut().take(topic.quantity.width()).enumerate() {
+            let (name, element) =
+                if is_array { (topic.fields[0], k) } else { (topic.fields[k], 0) };
+            *value = self.field(name, element)? * topic.si;
         }
-        self.topic.row(self.track, time_us, row, sink);
+        Some(row)
     }
 }

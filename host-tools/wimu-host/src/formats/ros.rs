@@ -7,13 +7,13 @@ pub(super) mod bag;
 mod chunk;
 pub(super) mod db3;
 pub(super) mod mcap;
-mod message;
 
 use std::borrow::Cow;
 
-use self::message::{Encoding, IMU, Kind};
 use super::{ReadOptions, Source};
-use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::plural::counted;
+use crate::recording::{Origin, Quantity, Sink, Stamped, TrackId, TrackInfo, Unit};
+use crate::ros::message::{Encoding, IMU, Layout};
 use crate::{Code, Problem, Result};
 
 /// Messages of a topic by which its clock is chosen.
@@ -24,8 +24,9 @@ const MAX_CLOCK_DIFFERENCE_NS: i64 = 60_000_000_000;
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// Longest message of a type that is read, decompressed, bytes: far above their 1 kB.
 const MAX_MESSAGE: u64 = 64 * 1024;
-/// Topics that a refusal names.
+/// Topics that a refusal names, and damaged parts that a message names.
 const NAMED_TOPICS: usize = 10;
+const NAMED_DAMAGE: usize = 3;
 
 /// Receives the messages of a bag in its order and hands their quantities to a sink.
 struct Messages<'a> {
@@ -36,17 +37,11 @@ struct Messages<'a> {
     damage: Damage,
 }
 
-/// Parts of a bag that cannot be read.
+/// Parts of a bag that cannot be read: the first ones, and their number.
 #[derive(Default)]
 struct Damage {
-    /// Chunks left out, and what is wrong with the first of them.
-    chunks: Option<(u64, String)>,
-    /// Bytes of damaged records, and where the first of them is.
-    gaps: Option<(u64, u64)>,
-    /// Messages that the index counts, or whose topic is unknown, and that are not read.
-    missing: u64,
-    /// Where a file ends early or a record's length is wrong.
-    cut: Vec<String>,
+    first: Vec<String>,
+    count: usize,
 }
 
 /// A message kept until the clock of its topic is chosen.
@@ -64,13 +59,13 @@ struct Topic {
     /// Serialisation, if it is one that is read.
     encoding: Option<Encoding>,
     /// `None` for messages without a quantity that is read.
-    kind: Option<&'static Kind>,
+    layout: Option<Layout>,
     messages: usize,
-    /// Messages without the layout of their kind.
+    /// Messages without the layout of their type.
     undecoded: usize,
     /// Set by the first message that is read.
     sensor: Option<u8>,
-    /// Of the kind's quantities.
+    /// Of the layout's quantities.
     tracks: [Option<TrackId>; 3],
     waiting: Vec<Waiting>,
     /// Whether times are log times, once it is chosen.
@@ -93,15 +88,14 @@ impl<'a> Messages<'a> {
         if let Some(index) = self.topics.iter().position(known) {
             return index;
         }
-        let kind = message::kind(&message).filter(|_| encoding.is_some());
         let chosen = self.options.topic.as_deref();
-        let left_out = kind.is_some_and(|kind| kind.name == IMU)
-            && chosen.is_some_and(|chosen| chosen != name);
+        let left_out = message == IMU && chosen.is_some_and(|chosen| chosen != name);
+        let layout = Layout::of(&message).filter(|_| encoding.is_some() && !left_out);
         self.topics.push(Topic {
             name: name.to_owned(),
             message,
             encoding,
-            kind: kind.filter(|_| !left_out),
+            layout,
             ..Topic::default()
         });
         self.topics.len() - 1
@@ -109,23 +103,23 @@ impl<'a> Messages<'a> {
 
     /// A message of a topic.
     fn message(&mut self, index: usize, log_ns: i64, data: &[u8]) {
-        let same_kind = |topic: &Topic| topic.kind.map(|kind| kind.name);
-        let kind = same_kind(&self.topics[index]);
-        let read = |topic: &&Topic| topic.sensor.is_some() && same_kind(topic) == kind;
+        let kind = &self.topics[index].message;
+        let read = |topic: &&Topic| topic.sensor.is_some() && topic.message == *kind;
         let next_sensor = u8::try_from(self.topics.iter().filter(read).count());
         let topic = &mut self.topics[index];
         topic.messages += 1;
-        let (Some(kind), Some(encoding), Ok(next_sensor)) =
-            (topic.kind, topic.encoding, next_sensor)
+        let (Some(layout), Some(encoding), Ok(next_sensor)) =
+            (&topic.layout, topic.encoding, next_sensor)
         else {
             return;
         };
-        let data = match data.starts_with(&ZSTD) {
+        let data = if data.starts_with(&ZSTD) {
             // Each message is compressed. One that does not decompress has not its layout.
-            true => chunk::decompress(b"zstd", data, MAX_MESSAGE, true).unwrap_or_default(),
-            false => Cow::Borrowed(data),
+            chunk::decompress(b"zstd", data, MAX_MESSAGE, true).unwrap_or_default()
+        } else {
+            Cow::Borrowed(data)
         };
-        let Some((stamp_ns, numbers)) = message::decode(kind, encoding, &data) else {
+        let Some((stamp_ns, numbers)) = layout.decode(encoding, &data) else {
             topic.undecoded += 1;
             return;
         };
@@ -141,49 +135,22 @@ impl<'a> Messages<'a> {
         }
     }
 
-    /// A chunk that is left out.
-    fn damaged_chunk(&mut self, reason: String) {
-        self.damage.chunks.get_or_insert((0, reason)).0 += 1;
-    }
-
-    /// Damaged records that are left out.
-    fn gap(&mut self, at: u64, bytes: u64) {
-        self.damage.gaps.get_or_insert((0, at)).0 += bytes;
-    }
-
-    /// Messages of a file that are not read.
-    fn missing(&mut self, count: u64) {
-        self.damage.missing += count;
-    }
-
-    /// A file that cannot be read beyond a byte.
-    fn cut(&mut self, file: &str, at: u64) {
-        let file = match file == self.bag {
-            true => "the file".to_owned(),
-            false => file.to_owned(),
-        };
-        self.damage.cut.push(format!("{file} is cut off or damaged from byte {at} on"));
-    }
-
     /// The end of the bag: its findings, or the refusal of a bag without Imu messages.
     fn finish(mut self) -> Result<()> {
         for topic in &mut self.topics {
             topic.choose_clock(self.sink);
         }
         let damage = self.damage.text();
-        let serves = match self.sink.takes_any() && self.options.topic.is_none() {
-            true => self.topics.iter().any(|topic| topic.sensor.is_some()),
-            false => self.imu_topics().any(Topic::is_inertial),
+        let serves = if self.sink.takes_any() && self.options.topic.is_none() {
+            self.topics.iter().any(|topic| topic.sensor.is_some())
+        } else {
+            self.imu_topics().any(Topic::is_inertial)
         };
         if !serves {
             return Err(self.refusal(damage));
         }
         if let Some(damage) = damage {
-            let remedy = match self.damage.cut.is_empty() {
-                true => "the rest is read",
-                false => "the part before is read",
-            };
-            self.report(Code::Truncated.warning(damage), remedy);
+            self.sink.finding(Code::Truncated.warning(damage).remedy("the rest is read"));
         }
         self.report_topics();
         self.report_clocks();
@@ -195,10 +162,6 @@ impl<'a> Messages<'a> {
         self.topics.iter().filter(is_imu)
     }
 
-    fn report(&mut self, finding: Problem, remedy: impl Into<String>) {
-        self.sink.finding(finding.remedy(remedy));
-    }
-
     fn report_topics(&mut self) {
         let imu: Vec<String> = self.imu_topics().map(Topic::describe).collect();
         if imu.len() > 1 {
@@ -207,45 +170,38 @@ impl<'a> Messages<'a> {
                 Some(topic) => format!("only {topic} is read"),
                 None => "each is a sensor of its own; select one by `--topic`".to_owned(),
             };
-            self.report(Code::TrackChosen.note(text), remedy);
+            self.sink.finding(Code::TrackChosen.note(text).remedy(remedy));
         }
         for topic in self.topics.iter().filter(|topic| topic.undecoded > 0) {
             let text = format!(
                 "{}: {} of {} messages do not have the layout of {}",
                 topic.name, topic.undecoded, topic.messages, topic.message
             );
-            let finding = Code::RowsMasked.warning(text);
-            self.sink.finding(finding.remedy("they are left out"));
+            self.sink.finding(Code::RowsMasked.warning(text).remedy("they are left out"));
         }
     }
 
     fn report_clocks(&mut self) {
-        let read = |topic: &&Topic| topic.offset_ns.is_some();
-        let by_log = |topic: &&Topic| topic.by_log == Some(true);
-        let logged: Vec<&str> = (self.topics.iter().filter(read).filter(by_log))
-            .map(|topic| topic.name.as_str())
-            .collect();
+        let read = self.topics.iter().filter_map(|topic| Some((topic.offset_ns?, topic)));
+        let by_log = read.clone().filter(|(_, topic)| topic.by_log == Some(true));
+        let logged: Vec<&str> = by_log.map(|(_, topic)| topic.name.as_str()).collect();
         if !logged.is_empty() {
             let text = format!("header stamps are zero or do not increase: {}", logged.join(", "));
             let remedy = "the log times are used, which include the delays of transport";
-            self.report(Code::Clock.warning(text), remedy);
+            self.sink.finding(Code::Clock.warning(text).remedy(remedy));
         }
-        let offsets = (self.topics.iter()).filter_map(|topic| Some((topic.offset_ns?, topic)));
-        let first = offsets.clone().min_by_key(|(offset, _)| *offset);
-        let last = offsets.max_by_key(|(offset, _)| *offset);
-        let (Some(first), Some(last)) = (first, last) else {
+        let first = read.clone().min_by_key(|(offset, _)| *offset);
+        let last = read.max_by_key(|(offset, _)| *offset);
+        let (Some((first_ns, first)), Some((last_ns, last))) = (first, last) else {
             return;
         };
-        let difference_ns = last.0.saturating_sub(first.0);
+        let difference_ns = last_ns.saturating_sub(first_ns);
         if difference_ns > MAX_CLOCK_DIFFERENCE_NS {
-            let text = format!(
-                "the clocks of {} and {} differ by {:.0} s",
-                first.1.name,
-                last.1.name,
-                difference_ns as f64 * 1e-9
-            );
+            let seconds = difference_ns as f64 * 1e-9;
+            let text =
+                format!("the clocks of {} and {} differ by {seconds:.0} s", first.name, last.name);
             let remedy = "do not combine them, or record them with one clock";
-            self.report(Code::Clock.warning(text), remedy);
+            self.sink.finding(Code::Clock.warning(text).remedy(remedy));
         }
     }
 
@@ -278,30 +234,45 @@ impl<'a> Messages<'a> {
 }
 
 impl Damage {
+    fn add(&mut self, text: String) {
+        self.count += 1;
+        if self.first.len() < NAMED_DAMAGE {
+            self.first.push(text);
+        }
+    }
+
+    /// Records that are left out.
+    fn gap(&mut self, at: u64, bytes: u64) {
+        self.add(format!("{bytes} bytes of damaged records are left out at byte {at}"));
+    }
+
+    /// Messages of the index that are not read, or whose topic is not known.
+    fn missing(&mut self, messages: u64) {
+        if messages > 0 {
+            let count = counted(usize::try_from(messages).unwrap_or(usize::MAX), "message");
+            self.add(format!("{count} of the index cannot be read or assigned to a topic"));
+        }
+    }
+
+    /// A file that cannot be read beyond a byte.
+    fn cut(&mut self, file: &str, at: u64) {
+        self.add(format!("{file} is cut off or damaged from byte {at} on"));
+    }
+
     /// What is wrong; `None` if nothing is.
     fn text(&self) -> Option<String> {
-        let chunks = self.chunks.as_ref().map(|(chunks, reason)| match chunks {
-            1 => format!("1 chunk is left out: {reason}"),
-            _ => format!("{chunks} chunks are left out, the first: {reason}"),
-        });
-        let gaps = self.gaps.map(|(bytes, at)| {
-            format!("{bytes} bytes of damaged records are left out, the first at byte {at}")
-        });
-        let missing = usize::try_from(self.missing).unwrap_or(usize::MAX);
-        let missing = (missing > 0).then(|| {
-            let count = crate::plural::counted(missing, "message");
-            format!("{count} of the index cannot be read or assigned to a topic")
-        });
-        let parts = chunks.into_iter().chain(gaps).chain(missing);
-        let parts: Vec<String> = parts.chain(self.cut.clone()).collect();
-        (!parts.is_empty()).then(|| parts.join("; "))
+        let mut text = self.first.join("; ");
+        if self.count > self.first.len() {
+            text += &format!("; and {} more", self.count - self.first.len());
+        }
+        (self.count > 0).then_some(text)
     }
 }
 
 impl Topic {
     /// Name, type and number of messages.
     fn describe(&self) -> String {
-        let count = crate::plural::counted(self.messages, "message");
+        let count = counted(self.messages, "message");
         match self.encoding {
             Some(_) => format!("{} ({}, {count})", self.name, self.message),
             None => format!("{} ({}, not serialised by ROS, {count})", self.name, self.message),
@@ -310,7 +281,7 @@ impl Topic {
 
     /// Whether a message had a specific force or an angular rate.
     fn is_inertial(&self) -> bool {
-        let tracks = self.kind.iter().flat_map(|kind| kind.parts).zip(&self.tracks);
+        let tracks = self.layout.iter().flat_map(|layout| &layout.parts).zip(&self.tracks);
         let mut read = tracks.filter(|(_, track)| track.is_some());
         read.any(|(part, _)| part.quantity != Quantity::Attitude)
     }
@@ -335,19 +306,21 @@ impl Topic {
             Some(true) => message.log_ns,
             _ => message.stamp_ns,
         };
-        let (Some(kind), Some(sensor)) = (self.kind, self.sensor) else {
+        let (Some(layout), Some(sensor)) = (&self.layout, self.sensor) else {
             return;
         };
-        for (part, track) in kind.parts.iter().zip(&mut self.tracks) {
+        for (index, part) in layout.parts.iter().enumerate() {
             let Some(values) = part.values(&message.numbers) else {
                 continue;
             };
-            let id = *track.get_or_insert_with(|| {
+            let first = self.tracks.iter().flatten().next().copied();
+            let id = *self.tracks[index].get_or_insert_with(|| {
                 let origin = match part.quantity {
                     Quantity::Attitude | Quantity::Position => Origin::Estimate,
                     _ => Origin::Sensor,
                 };
-                let info = TrackInfo::new(self.name.clone(), part.quantity, Unit::Si);
+                let mut info = TrackInfo::new(self.name.clone(), part.quantity, Unit::Si);
+                info.stamps = Some(first.map_or(Stamped::By(None), Stamped::Like));
                 sink.track(info.of_sensor(sensor).made_by(origin))
             });
             let offset_ns = time_ns.saturating_sub(message.log_ns);

@@ -1,19 +1,26 @@
-//! What a recording holds, found in one pass that keeps no samples.
+//! What a recording holds, and pictures of it, found in one pass that keeps no samples.
 
 use serde::Serialize;
 use wimu_calib::PoseFinder;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{ReadOptions, Source, read};
+use crate::chart::{Chart, Series};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 use crate::stats::{median, norm};
-use crate::{Code, Problem, Result, Severity};
+use crate::{Problem, Result};
 
 /// Rows by which the sample rate and the unit of a track are judged.
 const FIRST_ROWS: usize = 1000;
 /// Steps longer than this many usual ones are gaps: three samples are missing.
 const GAP_STEPS: f64 = 3.5;
+/// Intervals of a track: at least half of them are filled.
+const INTERVALS: usize = 2048;
+/// Tracks that are drawn.
+const MOST_TRACKS: usize = 12;
+/// Rows between two calls of the observer.
+const ROWS: u64 = 20_000;
 
 /// What a recording holds.
 #[derive(Clone, Debug, Serialize)]
@@ -50,8 +57,6 @@ pub struct TrackSummary {
     pub rows: u64,
     /// Rows that are not finite numbers.
     pub not_finite: u64,
-    /// Rows that are earlier than a row before.
-    pub unordered: u64,
     /// Median rate of the first rows, Hz.
     pub rate_hz: Option<f64>,
     /// Steps in which three samples and more are missing.
@@ -70,22 +75,14 @@ impl Summary {
     /// # Errors
     /// Those of [`read`].
     pub fn read(source: &Source, options: &ReadOptions) -> Result<Self> {
-        let mut counter = Counter::default();
-        let format = read(source, options, &mut counter)?;
-        let span = |of: fn(&TrackCounter) -> Option<i64>| counter.tracks.iter().filter_map(of);
-        let from = span(|track| track.first_ns).min();
-        let to = span(|track| track.latest_ns).max();
-        let duration_ns = from.zip(to).map_or(0, |(from, to)| to.saturating_sub(from));
-        let tracks = counter.tracks.into_iter();
-        let tracks: Vec<TrackSummary> = tracks.map(TrackCounter::summary).collect();
-        let mut findings = counter.findings;
-        findings.extend(tracks.iter().filter_map(TrackSummary::finding));
+        let mut contents = Overview::default();
+        let format = contents.read(source, options)?;
         Ok(Self {
             source: source.name().to_owned(),
             format,
-            duration_s: duration_ns as f64 * 1e-9,
-            tracks,
-            findings,
+            duration_s: contents.duration_s(),
+            tracks: contents.tracks.into_iter().map(TrackContents::summary).collect(),
+            findings: contents.findings,
         })
     }
 
@@ -97,23 +94,82 @@ impl Summary {
     }
 }
 
-/// The sink of [`Summary::read`].
+/// What the tracks of a recording of any length hold, found in one pass in constant memory.
 #[derive(Default)]
-struct Counter {
-    tracks: Vec<TrackCounter>,
+pub struct Overview<'a> {
+    tracks: Vec<TrackContents>,
     findings: Vec<Problem>,
+    rows: u64,
+    span_ns: Option<[i64; 2]>,
+    observer: Option<Observer<'a>>,
 }
 
-impl Sink for Counter {
+impl<'a> Overview<'a> {
+    /// Calls `observer` every 20,000 rows.
+    pub fn observe(&mut self, observer: Box<dyn FnMut(&Overview<'a>) + 'a>) {
+        self.observer = Some(observer);
+    }
+
+    /// Reads a file; returns the name of its format.
+    ///
+    /// # Errors
+    /// Those of [`read`].
+    pub fn read(&mut self, source: &Source, options: &ReadOptions) -> Result<&'static str> {
+        read(source, options, self)
+    }
+
+    /// Rows so far.
+    pub fn rows(&self) -> u64 {
+        self.rows
+    }
+
+    /// From the first row to the last, s.
+    pub fn duration_s(&self) -> f64 {
+        let span = self.span_ns.map(|[from, to]| to.saturating_sub(from));
+        span.unwrap_or(0) as f64 * 1e-9
+    }
+
+    /// What was noticed.
+    pub fn findings(&self) -> &[Problem] {
+        &self.findings
+    }
+
+    /// A chart of each of the first tracks that have rows, sensors before other columns.
+    pub fn charts(&self) -> Vec<Chart> {
+        let first_ns = self.span_ns.map_or(0, |[from, _]| from);
+        let is_other = |track: &&TrackContents| track.info.quantity == Quantity::Scalar;
+        let filled = || self.tracks.iter().filter(|track| track.summary.rows > 0);
+        let sensors = filled().filter(|track| !is_other(track));
+        let all = sensors.chain(filled().filter(is_other));
+        let charts = all.take(MOST_TRACKS).map(|track| track.extremes.chart(&track.info, first_ns));
+        charts.collect()
+    }
+}
+
+impl Sink for Overview<'_> {
     fn track(&mut self, info: TrackInfo) -> TrackId {
-        self.tracks.push(TrackCounter::new(info));
+        self.tracks.push(TrackContents::new(info));
         TrackId(self.tracks.len() - 1)
     }
 
     fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        if let Some(track) = self.tracks.get_mut(track.0) {
-            track.push(time_ns, values);
+        let Some(track) = self.tracks.get_mut(track.0) else {
+            return;
+        };
+        track.push(time_ns, values);
+        let [from, to] = self.span_ns.unwrap_or([time_ns; 2]);
+        self.span_ns = Some([from.min(time_ns), to.max(time_ns)]);
+        self.rows += 1;
+        if self.rows.is_multiple_of(ROWS)
+            && let Some(mut observer) = self.observer.take()
+        {
+            observer(self);
+            self.observer = Some(observer);
         }
+    }
+
+    fn leave_out(&mut self, track: TrackId) {
+        self.tracks.remove(track.0);
     }
 
     fn finding(&mut self, finding: Problem) {
@@ -127,10 +183,11 @@ impl Sink for Counter {
     }
 }
 
-struct TrackCounter {
+/// What a track holds, while its rows come.
+struct TrackContents {
     info: TrackInfo,
     summary: TrackSummary,
-    first_ns: Option<i64>,
+    extremes: Extremes,
     latest_ns: Option<i64>,
     /// The first rows, until the rate is judged.
     first_rows: Vec<(i64, [f64; 3])>,
@@ -141,7 +198,7 @@ struct TrackCounter {
     magnitudes: (usize, f64),
 }
 
-impl TrackCounter {
+impl TrackContents {
     fn new(info: TrackInfo) -> Self {
         let summary = TrackSummary {
             name: info.name.clone(),
@@ -158,7 +215,7 @@ impl TrackCounter {
         Self {
             info,
             summary,
-            first_ns: None,
+            extremes: Extremes { every: 1, ..Extremes::default() },
             latest_ns: None,
             first_rows: Vec::new(),
             step_ns: None,
@@ -169,13 +226,9 @@ impl TrackCounter {
 
     fn push(&mut self, time_ns: i64, values: &[f64]) {
         self.summary.rows += 1;
-        self.first_ns = self.first_ns.or(Some(time_ns));
+        self.extremes.push(time_ns, values);
         let is_finite = values.iter().all(|value| value.is_finite());
         self.summary.not_finite += u64::from(!is_finite);
-        if self.latest_ns.is_some_and(|latest| time_ns < latest) {
-            self.summary.unordered += 1;
-            return;
-        }
         let vector = <[f64; 3]>::try_from(values).unwrap_or([f64::NAN; 3]);
         let before_ns = self.latest_ns.replace(time_ns);
         match self.step_ns {
@@ -255,27 +308,85 @@ impl TrackCounter {
     }
 }
 
-impl TrackSummary {
-    /// Rows of an accelerometer that are left out.
-    fn finding(&self) -> Option<Problem> {
-        let is_force = self.quantity == Quantity::SpecificForce.name();
-        let out = self.not_finite + self.unordered;
-        (is_force && out > 0).then(|| {
-            let (code, severity) = match self.unordered {
-                0 => (Code::RowsMasked, Severity::Warning),
-                _ if 2 * out > self.rows => (Code::TimesUnordered, Severity::Error),
-                _ => (Code::TimesUnordered, Severity::Warning),
-            };
-            let evidence = format!(
-                "{}: {} of {} rows are not finite numbers, {} are earlier than a row before",
-                self.name, self.not_finite, self.rows, self.unordered
-            );
-            let remedy = match severity {
-                Severity::Error => "most rows cannot be used: sort them, or select one of several runs with --where",
-                _ => "they are left out",
-            };
-            Problem::new(code, severity, evidence).of_sensor(self.sensor).remedy(remedy)
-        })
+/// Called while a file is read.
+type Observer<'a> = Box<dyn FnMut(&Overview<'a>) + 'a>;
+
+/// The extremes of a track over equal intervals; where it is longer, the intervals double.
+#[derive(Default)]
+struct Extremes {
+    /// Rows of an interval.
+    every: u64,
+    filled: u64,
+    intervals: Vec<Interval>,
+}
+
+#[derive(Clone, Copy)]
+struct Interval {
+    from_ns: i64,
+    to_ns: i64,
+    low: [f64; 3],
+    high: [f64; 3],
+}
+
+impl Interval {
+    fn join(&mut self, other: &Self) {
+        self.to_ns = other.to_ns;
+        for axis in 0..3 {
+            self.low[axis] = self.low[axis].min(other.low[axis]);
+            self.high[axis] = self.high[axis].max(other.high[axis]);
+        }
+    }
+}
+
+impl Extremes {
+    fn push(&mut self, time_ns: i64, values: &[f64]) {
+        let value = |axis: usize| values.get(axis).copied().unwrap_or(f64::NAN);
+        let values = [0, 1, 2].map(value);
+        let one = Interval { from_ns: time_ns, to_ns: time_ns, low: values, high: values };
+        match self.intervals.last_mut() {
+            Some(last) if self.filled < self.every => {
+                last.join(&one);
+                self.filled += 1;
+            }
+            _ => {
+                self.intervals.push(one);
+                self.filled = 1;
+            }
+        }
+        if self.intervals.len() > INTERVALS {
+            let pairs = self.intervals.chunks(2);
+            self.intervals = pairs
+                .map(|pair| {
+                    let mut joined = pair[0];
+                    pair[1..].iter().for_each(|other| joined.join(other));
+                    joined
+                })
+                .collect();
+            // The last one has no pair, because their number was odd.
+            self.every *= 2;
+        }
+    }
+
+    fn chart(&self, info: &TrackInfo, first_ns: i64) -> Chart {
+        let width = info.quantity.width().min(3);
+        let (unit, scale) = match info.unit {
+            Unit::Si => (info.quantity.si(), 1.0),
+            Unit::Counts { si_per_lsb } => match si_per_lsb {
+                Some(scale) => (info.quantity.si(), scale),
+                None => ("LSB", 1.0),
+            },
+            Unit::Unknown => ("unit unknown", 1.0),
+        };
+        let series = (0..width).map(|axis| {
+            let points = self.intervals.iter().flat_map(|one| {
+                let at = |ns: i64| ns.saturating_sub(first_ns) as f64 * 1e-9;
+                [(at(one.from_ns), scale * one.low[axis]), (at(one.to_ns), scale * one.high[axis])]
+            });
+            let name = if width == 1 { "" } else { ["X", "Y", "Z"][axis] };
+            Series::line(name, points.collect())
+        });
+        let title = format!("{} {}", info.name, info.quantity.name());
+        Chart::new(title, "time, s", unit, series.collect())
     }
 }
 
@@ -296,9 +407,8 @@ impl std::fmt::Display for TrackSummary {
             let gaps = counted(self.gaps as usize, "gap");
             write!(out, ", {gaps} (longest {:.2} s)", self.longest_step_s)?;
         }
-        let counts = [(self.not_finite, "not finite"), (self.unordered, "out of order")];
-        for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
-            write!(out, ", {count} {what}")?;
+        if self.not_finite > 0 {
+            write!(out, ", {} not finite", self.not_finite)?;
         }
         match (self.rests, self.mean_at_rest) {
             (Some(rests), Some(mean)) => {

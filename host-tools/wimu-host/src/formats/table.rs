@@ -1,22 +1,20 @@
 //! Tables in text: CSV and the like, of wimu and of other programs.
 //!
-//! A first pass finds the table, what its columns mean and what their values show of units, zero and gravity; a second
+//! A first pass finds the table, what its columns mean and what their values show of times, units, zero and gravity; a second
 //! one hands the rows on. Each usable row makes one row of each accelerometer and gyroscope, with NaN for empty fields;
 //! rows of the other tracks are left out where they are empty.
 
-mod clock;
 mod folder;
-mod gravity;
 mod header;
-mod infer;
 mod layout;
 mod names;
 mod presets;
 mod rows;
 mod survey;
 mod text;
-mod timing;
+mod times;
 mod units;
+mod values;
 mod zero;
 
 use std::borrow::Cow;
@@ -24,19 +22,17 @@ use std::path::Path;
 
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
-use clock::Clock;
-use gravity::WithGravity;
 use header::Table;
-use infer::{Conversion, Evidence};
 pub(super) use layout::si_of;
 use layout::{Group, Layout};
-use rows::{Fault, Next, Values};
-use survey::Survey;
-use text::{Field, field};
+use rows::{Count, Fault};
+use survey::{Column, Survey};
+use times::Times;
 pub(crate) use units::acceleration_unit;
+use values::Conversion;
 
 use super::{ReadOptions, Source};
-use crate::recording::{Quantity, Sink, Stamps, TrackId, TrackInfo, Unit};
+use crate::recording::{Quantity, Sink, Stamped, TrackId, TrackInfo, Unit};
 use crate::{Code, Problem, Result};
 
 /// Columns of a table, at most.
@@ -45,6 +41,8 @@ const MOST_COLUMNS: usize = 1024;
 const MOST_SCALARS: usize = 64;
 /// Different sensitivities in a table, at most.
 const MOST_SENSITIVITIES: usize = 16;
+/// Columns that a message names, at most.
+const MOST_NAMED: usize = 30;
 
 /// Whether it is text.
 pub(super) fn detect(source: &Source) -> bool {
@@ -65,12 +63,7 @@ fn is_text(start: &[u8]) -> bool {
 /// Hands the tracks and rows of a table to `sink`.
 pub(super) fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Result<()> {
     match source.members() {
-        [] => {
-            let mut sink = WithGravity::new(sink, true);
-            read_table(source, options, &mut sink, Vec::new())?;
-            sink.finish();
-            Ok(())
-        }
+        [] => read_table(source, options, sink, Vec::new()),
         _ => folder::read(source, options, sink),
     }
 }
@@ -98,7 +91,7 @@ fn read_table(
 ) -> Result<()> {
     let quantity = quantity_of(source);
     let table = header::find(source, quantity)?;
-    let at_header = |error: crate::Problem| {
+    let at_header = |error: Problem| {
         let column =
             error.place.at.as_deref().map(|column| format!(", {column}")).unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
@@ -117,16 +110,48 @@ fn read_table(
     let filter = rows::filter(&table, pairs).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
     survey.count.check(source.name(), &table)?;
-    survey.one_source(&table, !options.poses).map_err(at_header)?;
-    let mut findings = Vec::new();
-    if timing::is_dot(&table, &layout, &survey) {
-        layout.program = Some("Xsens DOT");
+    survey.one_source(&table, &layout, !options.poses).map_err(at_header)?;
+    if times::is_dot(&table, &layout, &survey) {
+        layout.program = Some(presets::XSENS_DOT);
         let rates = layout.groups.iter_mut().filter(|g| g.quantity == Quantity::AngularRate);
         rates.for_each(|group| group.scales.fill(units::scale(group.quantity, "deg/s")));
     }
+    let mut findings = layout_findings(&table, &layout);
+    let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
+    let times = match options.rate_hz {
+        _ if !times.is_empty() => Times::List(times),
+        Some(rate_hz) => Times::Rows { period_ns: 1e9 / rate_hz, is_assumed: false },
+        None => times::choose(&table, &layout, &survey, options.poses, &mut findings),
+    };
+    let mut writer = Writer::new(&table, &layout, conversions, &survey, times, sink);
+    let count = rows::each_row(source, &table, &filter, u64::MAX, |fields, fault| {
+        writer.row(fields, fault)
+    })?;
+    writer.finish(findings, &count, &table);
+    count.check(source.name(), &table)
+}
+
+/// Refuses a table without anything inertial.
+fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
+    let is_axis = |name: &String| name.to_lowercase().starts_with("accelerometer ");
+    if !layout.groups.is_empty() || table.names.iter().any(is_axis) {
+        return Ok(());
+    }
+    let mut named = table.names[..table.names.len().min(MOST_NAMED)].join(", ");
+    if table.names.len() > MOST_NAMED {
+        named += ", …";
+    }
+    Err(Code::CsvMissingColumn.error(
+        format!("there is no accelerometer or gyroscope among its columns: {named}"),
+        "name the columns `Accelerometer X (g)`, … in LSB, g, mg or m/s², or say which they are: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
+    ))
+}
+
+/// The program that wrote a table, and columns whose units are unknown or differ.
+fn layout_findings(table: &Table, layout: &Layout) -> Vec<Problem> {
+    let mut findings = Vec::new();
     if let Some(program) = layout.program {
-        let text = format!("the columns are those of {program}");
-        findings.push(Code::TrackChosen.note(text));
+        findings.push(Code::TrackChosen.note(format!("the columns are those of {program}")));
     }
     if let Some(first) = layout.unknown_units.first() {
         let text = format!(
@@ -143,77 +168,7 @@ fn read_table(
         let remedy = "check the units in the header or in --columns";
         findings.push(Code::UnitInferred.warning(text).remedy(remedy));
     }
-    let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
-    let clock = if !times.is_empty() {
-        clock::Source::List(times)
-    } else if let Some(rate_hz) = options.rate_hz {
-        clock::Source::Rows { period_ns: 1e9 / rate_hz, is_assumed: false }
-    } else {
-        timing::choose(&table, &layout, &survey, options.poses, &mut findings)
-    };
-    let mut timeless = Timeless(sink);
-    let sink: &mut dyn Sink = match clock {
-        clock::Source::Rows { is_assumed: true, .. } => &mut timeless,
-        _ => timeless.0,
-    };
-    let rows = |sink: &mut dyn Sink| {
-        let mut writer = Writer::new(&table, &layout, conversions, &survey, sink);
-        let mut clock = Clock::new(clock.clone(), table.comma);
-        let count = rows::each_row(source, &table, |fields, fault| {
-            if !rows::passes(&filter, fields) {
-                return Next::Skip;
-            }
-            Next::Count(writer.row(&mut clock, fields, fault))
-        })?;
-        findings.extend(writer.findings());
-        findings.extend(count.findings(&table));
-        Ok(count)
-    };
-    // Means over poses are in any order.
-    let count = if clock.is_stamped() && !options.poses {
-        let mut stamps = Stamps::new(&mut *sink, clock.tick_ns());
-        let count = rows(&mut stamps)?;
-        stamps.finish();
-        count
-    } else {
-        rows(&mut *sink)?
-    };
-    findings.into_iter().for_each(|finding| sink.finding(finding));
-    count.check(source.name(), &table)
-}
-
-/// Marks tracks as without times of their own.
-struct Timeless<'a>(&'a mut dyn Sink);
-
-impl Sink for Timeless<'_> {
-    fn track(&mut self, mut info: TrackInfo) -> TrackId {
-        info.timeless = true;
-        self.0.track(info)
-    }
-
-    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        self.0.row(track, time_ns, values);
-    }
-
-    fn finding(&mut self, finding: Problem) {
-        self.0.finding(finding);
-    }
-}
-
-/// Refuses a table without anything inertial.
-fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
-    let is_axis = |name: &String| name.to_lowercase().starts_with("accelerometer ");
-    if !layout.groups.is_empty() || table.names.iter().any(is_axis) {
-        return Ok(());
-    }
-    let mut named = table.names[..table.names.len().min(30)].join(", ");
-    if table.names.len() > 30 {
-        named += ", …";
-    }
-    Err(Code::CsvMissingColumn.error(
-        format!("there is no accelerometer or gyroscope among its columns: {named}"),
-        "name the columns `Accelerometer X (g)`, … in LSB, g, mg or m/s², or say which they are: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
-    ))
+    findings
 }
 
 fn conversions(
@@ -223,16 +178,9 @@ fn conversions(
     findings: &mut Vec<Problem>,
 ) -> Result<Vec<Conversion>> {
     let convert = |(group, samples): (&Group, &survey::Samples)| {
-        let columns = group.columns.iter().map(|column| &survey.columns[*column]);
-        let evidence = Evidence {
-            program: layout.program,
-            is_own: layout.program.is_none() && group.name.starts_with("Accelerometer"),
-            samples: &samples.rows,
-            is_integer: group.columns.len() == 3
-                && columns.clone().all(|column| !column.has_fraction),
-            zero_count: options.zero_count.or(options.stored_zero_count),
-        };
-        infer::conversion(group, evidence, findings)
+        let is_whole = |column: &usize| !survey.columns[*column].has_fraction;
+        let is_integer = group.columns.len() == 3 && group.columns.iter().all(is_whole);
+        values::conversion(group, &samples.rows, is_integer, layout.program, options, findings)
     };
     let groups = layout.groups.iter().zip(&survey.samples);
     groups.map(convert).collect()
@@ -253,10 +201,13 @@ struct Output<'a> {
 /// Hands rows to a sink.
 struct Writer<'a, 'b> {
     comma: bool,
+    times: Times,
+    stamps: Option<Stamped>,
     outputs: Vec<Output<'a>>,
     /// Columns of scalar tracks.
     scalars: Vec<(usize, TrackId)>,
     scalars_left_out: usize,
+    rows: usize,
     /// Rows whose counts have no known size.
     without_size: u64,
     sink: &'b mut dyn Sink,
@@ -268,13 +219,25 @@ impl<'a, 'b> Writer<'a, 'b> {
         layout: &'a Layout,
         conversions: Vec<Conversion>,
         survey: &Survey,
+        times: Times,
         sink: &'b mut dyn Sink,
     ) -> Self {
-        let mut outputs = Vec::new();
+        let mut writer = Self {
+            comma: table.comma,
+            stamps: times.stamped(),
+            times,
+            outputs: Vec::new(),
+            scalars: Vec::new(),
+            scalars_left_out: 0,
+            rows: 0,
+            without_size: 0,
+            sink,
+        };
         let all = layout.groups.iter().zip(conversions).zip(&survey.samples);
-        for ((group, conversion), samples) in
-            all.filter(|((_, conversion), _)| !conversion.is_left_out)
-        {
+        for ((group, conversion), samples) in all {
+            if conversion.is_left_out {
+                continue;
+            }
             let is_counts = matches!(conversion.unit, Unit::Counts { .. });
             let size = match group.quantity {
                 Quantity::SpecificForce => layout.sensitivity,
@@ -290,122 +253,117 @@ impl<'a, 'b> Writer<'a, 'b> {
                 conversion,
             };
             if output.size.is_none() {
-                output.add_track(String::new(), output.conversion.unit, sink);
+                let track = writer.track(output.info(output.conversion.unit));
+                output.tracks.push((String::new(), track));
             }
-            outputs.push(output);
+            writer.outputs.push(output);
         }
-        let is_scalar = |column: &&usize| {
-            let column = &survey.columns[**column];
-            column.numbers > column.texts
-        };
-        let columns: Vec<usize> = layout.others.iter().filter(is_scalar).copied().collect();
-        let scalars = columns.iter().take(MOST_SCALARS).map(|column| {
+        let is_scalar = |column: &Column| column.numbers > column.texts;
+        let scalars = layout.others.iter().filter(|column| is_scalar(&survey.columns[**column]));
+        for column in scalars {
+            if writer.scalars.len() == MOST_SCALARS {
+                writer.scalars_left_out += 1;
+                continue;
+            }
             let info = TrackInfo::new(&table.names[*column], Quantity::Scalar, Unit::Si);
-            (*column, sink.track(info))
-        });
-        Self {
-            comma: table.comma,
-            outputs,
-            scalars: scalars.collect(),
-            scalars_left_out: columns.len().saturating_sub(MOST_SCALARS),
-            without_size: 0,
-            sink,
+            let track = writer.track(info);
+            writer.scalars.push((*column, track));
         }
+        writer
+    }
+
+    /// A track whose rows have the times of the table.
+    fn track(&mut self, mut info: TrackInfo) -> TrackId {
+        (info.stamps, info.timeless) = (self.stamps, self.times.is_assumed());
+        let track = self.sink.track(info);
+        if let Some(Stamped::By(_)) = self.stamps {
+            self.stamps = Some(Stamped::Like(track));
+        }
+        track
     }
 
     /// Hands a row on; returns why it could not be used.
-    fn row(
-        &mut self,
-        clock: &mut Clock,
-        fields: &[Cow<str>],
-        fault: Option<Fault>,
-    ) -> Option<Fault> {
-        let Some(time) = clock.next_time(fields) else {
+    fn row(&mut self, fields: &[Cow<str>], fault: Option<Fault>) -> Option<Fault> {
+        self.rows += 1;
+        let Some(time) = self.times.of(self.rows - 1, fields, self.comma) else {
             return fault.or(Some(Fault::NoTime));
         };
-        if let Some(fault) = fault {
-            self.masked(time);
-            return Some(fault);
-        }
-        let mut has_text = false;
-        for output in &mut self.outputs {
-            let values = rows::values(output.group, fields, self.comma);
-            let row = match values {
-                Values::Empty if output.is_sparse => continue,
-                Values::Empty => [f64::NAN; 4],
-                Values::Some(row) => row,
-                Values::Text => {
-                    has_text |= output.group.is_inertial();
+        let mut fault = fault;
+        for index in 0..self.outputs.len() {
+            let output = &self.outputs[index];
+            let read = match fault {
+                // The row counts as one that is masked.
+                Some(Fault::FieldCount(_)) if output.is_sparse => continue,
+                Some(Fault::FieldCount(_)) => Ok(None),
+                _ => rows::values(output.group, fields, self.comma),
+            };
+            let row = match read {
+                Ok(Some(row)) => row,
+                Ok(None) if output.is_sparse => continue,
+                Ok(None) => [f64::NAN; 4],
+                Err(text) => {
+                    fault = fault.or(output.group.is_inertial().then_some(text));
                     [f64::NAN; 4]
                 }
             };
-            match output.track(fields, self.sink) {
-                Some(track) => output.hand_on(track, time, row, self.sink),
+            match self.track_of(index, fields) {
+                Some(track) => self.outputs[index].hand_on(track, time, row, self.sink),
                 None => self.without_size += 1,
             }
         }
-        for (column, track) in &self.scalars {
-            if let Field::Number(value) =
-                field(fields.get(*column).map_or("", |text| text), self.comma)
-            {
-                self.sink.row(*track, time, &[value]);
+        if !matches!(fault, Some(Fault::FieldCount(_))) {
+            for (column, track) in &self.scalars {
+                let text = fields.get(*column).map_or("", |text| text);
+                let value = text::field(text, self.comma).filter(|value| value.is_finite());
+                value.into_iter().for_each(|value| self.sink.row(*track, time, &[value]));
             }
         }
-        has_text.then_some(Fault::NoNumber)
+        fault
     }
 
-    /// Hands on a row without values.
-    fn masked(&mut self, time: i64) {
-        for output in self.outputs.iter().filter(|output| !output.is_sparse) {
-            if let Some((_, track)) = output.tracks.last() {
-                let width = output.group.columns.len();
-                self.sink.row(*track, time, &[f64::NAN; 4][..width]);
-            }
+    /// The track of an output in a row: one for each size of its counts.
+    fn track_of(&mut self, index: usize, fields: &[Cow<str>]) -> Option<TrackId> {
+        let output = &self.outputs[index];
+        let Some(column) = output.size else {
+            return output.tracks.first().map(|(_, track)| *track);
+        };
+        let Some(text) = fields.get(column) else {
+            return output.tracks.last().map(|(_, track)| *track);
+        };
+        if let Some((_, track)) = output.tracks.iter().find(|(size, _)| size == text) {
+            return Some(*track);
         }
+        let size = text.parse().ok().filter(|size: &f64| *size > 0.0 && size.is_finite())?;
+        if output.tracks.len() >= MOST_SENSITIVITIES {
+            return None;
+        }
+        let is_rate = output.group.quantity == Quantity::AngularRate;
+        let si_per_lsb = Some(if is_rate { size } else { G / size });
+        let track = self.track(output.info(Unit::Counts { si_per_lsb }));
+        self.outputs[index].tracks.push((text.to_string(), track));
+        Some(track)
     }
 
-    fn findings(&self) -> Vec<Problem> {
-        let mut findings = Vec::new();
+    fn finish(self, mut findings: Vec<Problem>, count: &Count, table: &Table) {
         if self.without_size > 0 {
             let text = format!("{} rows of counts have no sensitivity", self.without_size);
-            let remedy = "they are left out";
-            findings.push(Code::RowsMasked.warning(text).remedy(remedy));
+            findings.push(Code::RowsMasked.warning(text).remedy("they are left out"));
         }
         if self.scalars_left_out > 0 {
-            let left_out = self.scalars_left_out;
-            let text = format!("{left_out} further columns of numbers are not read");
+            let text = format!("{} further columns of numbers are not read", self.scalars_left_out);
             findings.push(Code::TrackChosen.note(text));
         }
-        findings
+        findings.extend(count.findings(table));
+        findings.into_iter().for_each(|finding| self.sink.finding(finding));
     }
 }
 
 impl Output<'_> {
-    fn add_track(&mut self, size: String, unit: Unit, sink: &mut dyn Sink) -> TrackId {
+    fn info(&self, unit: Unit) -> TrackInfo {
         let group = self.group;
         let mut info = TrackInfo::new(&group.name, self.conversion.quantity, unit);
         info.zero_count = self.conversion.zero.count();
-        let track = sink.track(info.of_sensor(group.sensor).made_by(group.origin));
-        self.tracks.push((size, track));
-        track
-    }
-
-    /// The track of a row: one for each size of its counts.
-    fn track(&mut self, fields: &[Cow<str>], sink: &mut dyn Sink) -> Option<TrackId> {
-        let Some(column) = self.size else {
-            return self.tracks.first().map(|(_, track)| *track);
-        };
-        let text = fields.get(column)?;
-        if let Some((_, track)) = self.tracks.iter().find(|(size, _)| size == text) {
-            return Some(*track);
-        }
-        let size = text.parse().ok();
-        let size = size.filter(|size: &f64| *size > 0.0 && size.is_finite())?;
-        let is_rate = self.group.quantity == Quantity::AngularRate;
-        let si_per_lsb = Some(if is_rate { size } else { G / size });
-        let unit = Unit::Counts { si_per_lsb };
-        (self.tracks.len() < MOST_SENSITIVITIES)
-            .then(|| self.add_track(text.to_string(), unit, sink))
+        info.of_sensor(group.sensor).made_by(group.origin)
     }
 
     fn hand_on(&self, track: TrackId, time: i64, mut row: [f64; 4], sink: &mut dyn Sink) {

@@ -5,7 +5,7 @@ use crate::recording::Sink;
 use crate::{Code, Result};
 
 /// First bytes, name, and what to do.
-const FORMATS: [(&[u8], &str, &str); 9] = [
+const FILES: [(&[u8], &str, &str); 11] = [
     (b"\x28\xb5\x2f\xfd", "compressed by zstd", "unpack it: zstd -d FILE"),
     (b"\x04\x22\x4d\x18", "compressed by lz4", "unpack it: lz4 -d FILE"),
     (b"BZh", "compressed by bzip2", "unpack it: bunzip2 FILE"),
@@ -32,12 +32,27 @@ const FORMATS: [(&[u8], &str, &str); 9] = [
         "an x-IMU3 data logger file",
         "convert it to CSV with the x-IMU3 GUI and read its Inertial.csv",
     ),
+    (b"MD\xfc\x03", "an Axivity .cwa file", "export it as CSV with raw samples in OmGui"),
+    (
+        b"Device Identity",
+        "a GENEActiv .bin file",
+        "export it as CSV in the GENEActiv software, without epochs",
+    ),
+];
+
+/// A member of an archive, name, and what to do.
+const ARCHIVES: [(&str, &str, &str); 2] = [
+    ("xl/workbook", "an Excel workbook", "save its sheet as CSV (UTF-8)"),
+    ("log.bin", "an ActiGraph .gt3x file", "export it in ActiLife as RAW CSV"),
 ];
 
 /// The name and the remedy of a source's format.
 fn named(source: &Source) -> Option<(&'static str, &'static str)> {
-    let format = FORMATS.iter().find(|(magic, ..)| source.start().starts_with(magic))?;
-    Some((format.1, format.2))
+    let has = |part: &str| source.members().iter().any(|member| member.name().contains(part));
+    let archive = ARCHIVES.iter().find(|(member, ..)| has(member));
+    let file = FILES.iter().find(|(magic, ..)| source.start().starts_with(magic));
+    let archive = archive.map(|(_, name, remedy)| (*name, *remedy));
+    archive.or_else(|| file.map(|(_, name, remedy)| (*name, *remedy)))
 }
 
 /// Whether it is one of them.

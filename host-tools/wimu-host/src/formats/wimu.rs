@@ -14,7 +14,7 @@ use crate::stream;
 use crate::{Code, Result};
 
 /// Whether it is an MCAP file that `wimu record` wrote, or one that is cut off or damaged at its beginning.
-pub(crate) fn detect(source: &Source) -> bool {
+pub(super) fn detect(source: &Source) -> bool {
     let named_mcap = |path: &Path| {
         let extension = path.extension();
         extension.is_some_and(|e| e.eq_ignore_ascii_case("mcap"))

@@ -70,6 +70,8 @@ pub(super) struct Damage {
     bytes: u64,
     /// Position after the latest.
     end: u64,
+    /// Number of times that the logger lost data, and their total length, ms.
+    dropouts: (usize, u64),
 }
 
 impl Damage {
@@ -82,20 +84,34 @@ impl Damage {
         self.end = position + 1;
     }
 
-    /// The finding of it, if there is any, in a span of a source.
-    pub(super) fn finding(&self, span: Range<u64>) -> Option<Problem> {
-        let end = match self.end == span.end {
-            true => ", the last at the end of the file",
-            false => "",
-        };
+    /// Counts a time in which the logger lost data.
+    pub(super) fn add_dropout(&mut self, duration_ms: u16) {
+        self.dropouts.0 += 1;
+        self.dropouts.1 += u64::from(duration_ms);
+    }
+
+    /// What there is of it in a span of a source.
+    pub(super) fn findings(&self, span: Range<u64>) -> Vec<Problem> {
+        let mut findings = Vec::new();
+        let (dropouts, lost_ms) = self.dropouts;
+        if dropouts > 0 {
+            let text =
+                format!("{} of the logger, {lost_ms} ms in all", counted(dropouts, "dropout"));
+            let remedy = "log fewer topics, or use a faster memory card";
+            findings.push(Code::Rate.warning(text).remedy(remedy));
+        }
+        let is_last = self.end == span.end;
+        let end = if is_last { ", the last at the end of the file" } else { "" };
         let evidence = format!(
             "{} of {} bytes belong to no readable record, in {}{end}",
             self.bytes,
             span.end - span.start,
             counted(self.places, "place"),
         );
-        let finding = Code::Truncated.warning(evidence);
-        (self.places > 0).then(|| finding.remedy("they are left out"))
+        if self.places > 0 {
+            findings.push(Code::Truncated.warning(evidence).remedy("they are left out"));
+        }
+        findings
     }
 
     /// Refuses a source of `length` bytes if more than half of it is damaged.
@@ -106,6 +122,36 @@ impl Damage {
         let message = format!("{} of {length} bytes belong to no readable record", self.bytes);
         let remedy = "copy the file from the device again";
         Err(Code::BadRecording.error(message, remedy).at(source.name()))
+    }
+}
+
+/// Type of a little-endian number of so many bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Number {
+    Unsigned(usize),
+    Signed(usize),
+    Float(usize),
+}
+
+impl Number {
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            Self::Unsigned(bytes) | Self::Signed(bytes) | Self::Float(bytes) => bytes,
+        }
+    }
+
+    /// The number at an offset; exact for integers below 2⁵³.
+    pub(super) fn read(self, bytes: &[u8], offset: usize) -> Option<f64> {
+        let bytes = bytes.get(offset..)?.get(..self.bytes())?;
+        let mut wide = [0; 8];
+        wide[..bytes.len()].copy_from_slice(bytes);
+        let (value, unused) = (u64::from_le_bytes(wide), 64 - 8 * bytes.len());
+        Some(match self {
+            Self::Unsigned(_) => value as f64,
+            Self::Signed(_) => ((value << unused) as i64 >> unused) as f64,
+            Self::Float(4) => f32::from_bits(value as u32).into(),
+            Self::Float(_) => f64::from_bits(value),
+        })
     }
 }
 

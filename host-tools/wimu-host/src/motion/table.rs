@@ -85,7 +85,7 @@ impl MotionRecording {
         let calibrated = scalars.iter().find(|t| t.info.name == FIELD_CALIBRATED).copied();
         let mut motion = Self {
             name: name.to_owned(),
-            findings: recording.relevant(&[Code::RowsMasked]),
+            findings: recording.relevant(&[Code::RowsMasked, Code::Frozen]),
             covariance: stored.and_then(|stored| {
                 let known = stored.covariance?;
                 Some(in_body_axes(&known, &stored.alignment))
@@ -169,7 +169,7 @@ fn without_unit(recording: &Recording) -> Problem {
         ),
         _ => Code::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",
-            "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …; for several accelerometers on one body give --geometry",
+            "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …, or give --rate HZ; for several accelerometers on one body give --geometry",
         ),
     };
     error.at(&recording.name)

@@ -1,128 +1,221 @@
-//! Checks that hold for recordings of every format.
+//! Checks that hold for recordings of every format: order of time, rows that are no measurement, sensors that have stopped.
 
-use super::{Quantity, Recording, Track, TrackInfo};
+use super::{Origin, Quantity, TrackInfo};
 use crate::plural::counted;
-use crate::{Code, Problem, Result};
+use crate::stats::norm;
+use crate::{Code, Problem};
 
-/// Rows of a track that cannot be used, counted in the order of the file.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Unusable {
-    rows: usize,
-    not_finite: usize,
-    first_not_finite_ns: Option<i64>,
-    /// Rows that are earlier than a row before.
-    early: usize,
-    first_early_ns: Option<i64>,
-    latest_ns: Option<i64>,
+/// Ratios of the magnitude of three equal components to the usual one, below and above which they are no measurement: drivers
+/// write 0, −1 or −999 where the bus failed. Chosen: −1 LSB of 2048 LSB/g is below, shocks are not above in three equal axes.
+const NO_MEASUREMENT: [f64; 2] = [1e-3, 5.0];
+/// Weight of a row in the usual magnitude.
+const WEIGHT: f64 = 1.0 / 16.0;
+/// Rows by which an axis is known to have stopped, at least.
+const MIN_ROWS: u64 = 100;
+/// Rows that repeat the one before, in mean runs of such rows, by which a sensor is known to have stopped: a row of a noisy
+/// sensor repeats once in three at most, and 3⁻¹⁶ is one in forty million.
+const FROZEN_RUNS: f64 = 16.0;
+/// Mean length of a run of equal rows above which the sensor is too coarse for that.
+const COARSE_RUN: f64 = 3.0;
+
+/// Rows, and the time of the first, ns.
+#[derive(Clone, Copy, Default)]
+struct Rows {
+    count: u64,
+    first_ns: i64,
 }
 
-impl Unusable {
-    /// Counts a row and whether its values are usable numbers; returns the latest time so far, and whether the row can
-    /// be used. Means over poses are in any order of time.
-    pub(crate) fn see(&mut self, time_ns: i64, is_valid: bool, in_order: bool) -> (i64, bool) {
-        self.rows += 1;
-        if !is_valid {
-            self.not_finite += 1;
-            self.first_not_finite_ns.get_or_insert(time_ns);
+impl Rows {
+    fn add(&mut self, time_ns: i64) {
+        if self.count == 0 {
+            self.first_ns = time_ns;
         }
-        let latest_ns = self.latest_ns.filter(|latest| in_order && time_ns < *latest);
-        if let Some(latest_ns) = latest_ns {
-            self.early += usize::from(is_valid);
-            self.first_early_ns.get_or_insert(latest_ns);
-            return (latest_ns, false);
+        self.count += 1;
+    }
+}
+
+/// What the rows of a track were.
+pub(super) struct Checks {
+    pub(super) info: TrackInfo,
+    factor: f64,
+    rows: u64,
+    latest_ns: Option<i64>,
+    /// Rows that have a wrong stamp, are earlier than a row before, not finite, and no measurement.
+    wrong: u64,
+    early: Rows,
+    not_finite: Rows,
+    replaced: Rows,
+    /// Usual magnitude.
+    usual: f64,
+    last: Option<[f64; 4]>,
+    /// Rows that are equal to the last one and follow each other, the most of them, and the number of such runs.
+    run: Rows,
+    longest: Rows,
+    runs: u64,
+    /// Whether each axis has had one value.
+    is_constant: [bool; 3],
+}
+
+impl Checks {
+    pub(super) fn new(info: TrackInfo, factor: f64) -> Self {
+        Self {
+            info,
+            factor,
+            rows: 0,
+            latest_ns: None,
+            wrong: 0,
+            early: Rows::default(),
+            not_finite: Rows::default(),
+            replaced: Rows::default(),
+            usual: 0.0,
+            last: None,
+            run: Rows::default(),
+            longest: Rows::default(),
+            runs: 0,
+            is_constant: [true; 3],
         }
-        self.latest_ns = Some(time_ns);
-        (time_ns, is_valid)
     }
 
-    /// Reports the rows of an accelerometer in `findings`; `name` is that of the recording.
-    ///
-    /// # Errors
-    /// `data_refused` when more than half of the rows cannot be used.
-    pub(crate) fn report(
-        &self,
-        info: &TrackInfo,
-        start_ns: Option<i64>,
-        name: &str,
-        findings: &mut Vec<Problem>,
-    ) -> Result<()> {
-        if info.quantity != Quantity::SpecificForce {
-            return Ok(());
+    pub(super) fn has_rows(&self) -> bool {
+        self.rows > 0
+    }
+
+    fn is_force(&self) -> bool {
+        self.info.quantity == Quantity::SpecificForce
+    }
+
+    /// Whether it is a sensor of specific force or angular rate.
+    fn is_inertial(&self) -> bool {
+        let is_rate = self.info.quantity == Quantity::AngularRate;
+        (self.is_force() || is_rate) && self.info.origin == Origin::Sensor
+    }
+
+    /// Whether all rows of an inertial sensor are 0.
+    pub(super) fn is_zero(&self) -> bool {
+        self.runs == 1 && self.last == Some([0.0; 4])
+    }
+
+    /// The time and the values of a row, which are not numbers if it cannot be used.
+    pub(super) fn see(&mut self, time_ns: i64, values: &[f64], in_order: bool) -> (i64, [f64; 4]) {
+        let mut row = [0.0; 4];
+        row.iter_mut().zip(values).for_each(|(to, value)| *to = value * self.factor);
+        self.rows += 1;
+        if values.is_empty() {
+            self.wrong += 1;
+            return (time_ns, [f64::NAN; 4]);
         }
-        let (rows, track) = (self.rows, &info.name);
-        let since_s = |time: i64| time.saturating_sub(start_ns.unwrap_or_default()) as f64 * 1e-9;
-        if let Some(first) = self.first_not_finite_ns {
-            let evidence = format!(
-                "{} of {rows} of {track} not finite numbers, the first at {:.2} s",
-                counted(self.not_finite, "row"),
-                since_s(first)
+        if let Some(latest_ns) = self.latest_ns.filter(|latest| in_order && time_ns < *latest) {
+            self.early.add(latest_ns);
+            return (latest_ns, [f64::NAN; 4]);
+        }
+        self.latest_ns = Some(time_ns);
+        if !row.iter().all(|value| value.is_finite()) {
+            self.not_finite.add(time_ns);
+        } else if self.is_inertial() {
+            if self.is_no_measurement(row) {
+                self.replaced.add(time_ns);
+                return (time_ns, [f64::NAN; 4]);
+            }
+            self.follow(time_ns, row);
+        }
+        (time_ns, row)
+    }
+
+    /// Whether an accelerometer has three equal components that are far from its usual magnitude.
+    fn is_no_measurement(&self, row: [f64; 4]) -> bool {
+        let [x, y, z, _] = row;
+        let [least, most] = NO_MEASUREMENT;
+        let magnitude = norm(row);
+        let is_far = magnitude < least * self.usual || magnitude > most * self.usual;
+        self.is_force() && x == y && y == z && self.usual > 0.0 && is_far
+    }
+
+    /// Counts runs of equal rows, and axes with one value.
+    fn follow(&mut self, time_ns: i64, row: [f64; 4]) {
+        let weight = if self.usual > 0.0 { WEIGHT } else { 1.0 };
+        self.usual += weight * (norm(row) - self.usual);
+        if self.last != Some(row) {
+            self.run = Rows::default();
+            self.runs += 1;
+        }
+        self.run.add(time_ns);
+        if self.run.count > self.longest.count {
+            self.longest = self.run;
+        }
+        if let Some(last) = self.last.replace(row) {
+            let axes = self.is_constant.iter_mut().enumerate();
+            axes.for_each(|(axis, is_constant)| *is_constant &= last[axis] == row[axis]);
+        }
+    }
+
+    /// What was found; `start_ns` is the first time of the recording.
+    pub(super) fn problems(&self, start_ns: i64) -> Vec<Problem> {
+        let (rows, track) = (self.rows, &self.info.name);
+        let at = |rows: Rows| {
+            let first_s = rows.first_ns.saturating_sub(start_ns) as f64 * 1e-9;
+            (counted(rows.count as usize, "row"), format!("the first at {first_s:.2} s"))
+        };
+        let mut problems = Vec::new();
+        if self.is_force() && self.not_finite.count > 0 {
+            let (rows_text, first) = at(self.not_finite);
+            let text = format!("{rows_text} of {rows} of {track} not finite numbers, {first}");
+            problems.push(Code::RowsMasked.warning(text).remedy("they are left out"));
+        }
+        if self.replaced.count > 0 {
+            let (rows_text, first) = at(self.replaced);
+            let text = format!(
+                "{rows_text} of {rows} of {track} have three equal values, as drivers write without a measurement, {first}"
             );
-            let finding = Code::RowsMasked.warning(evidence).remedy("they are left out");
-            findings.push(finding.of_sensor(info.sensor));
+            problems.push(Code::RowsMasked.warning(text).remedy("they are left out"));
         }
-        let is_reported = |finding: &Problem| finding.code == Code::TimesUnordered;
-        let is_news = !findings.iter().any(is_reported);
-        if let Some(first) = self.first_early_ns.filter(|_| is_news) {
-            let evidence = format!(
-                "time goes back: {} earlier than a row before, the first after {:.2} s",
-                counted(self.early, "row"),
-                since_s(first)
+        if self.is_force() && self.early.count > 0 {
+            let (rows_text, first) = at(self.early);
+            let text = format!(
+                "time goes back: {rows_text} of {track} earlier than a row before, {first}"
             );
             let remedy =
                 "they are left out; sort the rows, or select one of several runs with --where";
-            findings.push(Code::TimesUnordered.warning(evidence).remedy(remedy));
+            problems.push(Code::TimesUnordered.warning(text).remedy(remedy));
         }
-        if 2 * (self.not_finite + self.early) <= rows {
-            return Ok(());
+        if let Some(text) = self.stopped() {
+            let text = format!("the {} of {track} {text}", self.info.quantity.name());
+            problems.push(Code::Frozen.warning(text).remedy("check the sensor and its wiring"));
         }
+        problems.into_iter().map(|problem| problem.of_sensor(self.info.sensor)).collect()
+    }
+
+    /// Axes with one value while others are noisy, or a run of equal rows that noise does not explain.
+    fn stopped(&self) -> Option<String> {
+        if self.runs == 0 || self.rows < MIN_ROWS {
+            return None;
+        }
+        let longest = self.longest.count as f64;
+        let others = self.rows as f64 - longest;
+        // Of a sensor that never changes there are no other runs.
+        let run = others / self.runs.saturating_sub(1) as f64;
+        if self.runs > 1 && run >= COARSE_RUN {
+            return None;
+        }
+        let axes = ["X", "Y", "Z"].into_iter().zip(self.is_constant);
+        let axes: Vec<&str> = axes.filter(|(_, is)| *is).map(|(axis, _)| axis).collect();
+        if !axes.is_empty() {
+            return Some(format!("has one value throughout on {}", axes.join(", ")));
+        }
+        (longest > FROZEN_RUNS * run && longest < others)
+            .then(|| format!("does not change in {longest} rows"))
+    }
+
+    /// An accelerometer most of whose rows cannot be used.
+    pub(super) fn refusal(&self) -> Option<Problem> {
+        let (rows, track) = (self.rows, &self.info.name);
+        let not_finite = self.not_finite.count + self.replaced.count;
+        let early = self.early.count + self.wrong;
         let message = format!(
-            "most rows of {track} cannot be used: {} of {rows} are not finite numbers, {} are earlier than a row before",
-            self.not_finite, self.early
+            "most rows of {track} cannot be used: {not_finite} of {rows} are not finite numbers, {early} are earlier than a row before"
         );
         let remedy = "check the file; if it contains several runs, select one with --where; if its rows are means over static \
                       poses, add --poses";
-        Err(Code::DataRefused.error(message, remedy).at(name))
-    }
-}
-
-impl Recording {
-    /// Removes inertial tracks of zeros where another track of the quantity has values: drivers fill the fields of a sensor
-    /// that a message does not have.
-    pub fn remove_zeros(&mut self) {
-        let is_zero = |track: &Track| track.valid().all(|(_, row)| row.iter().all(|v| *v == 0.0));
-        for quantity in [Quantity::SpecificForce, Quantity::AngularRate] {
-            let of = |track: &Track| track.info.quantity == quantity;
-            if self.tracks.iter().filter(|track| of(track)).all(is_zero) {
-                continue;
-            }
-            let (empty, kept) = std::mem::take(&mut self.tracks)
-                .into_iter()
-                .partition(|track| of(track) && !track.is_empty() && is_zero(track));
-            self.tracks = kept;
-            let empty: Vec<Track> = empty;
-            for track in empty {
-                let text =
-                    format!("the {} of {} is 0 throughout", quantity.name(), track.info.name);
-                let finding = Code::TrackChosen.note(text).remedy("it is left out");
-                self.findings.push(finding);
-            }
-        }
-    }
-
-    /// Masks rows whose time is earlier than that of a row before, which they are given, and reports masked rows of
-    /// accelerometers. `in_order` is false for means over poses.
-    ///
-    /// # Errors
-    /// `data_refused` when more than half of the rows of an accelerometer cannot be used.
-    pub fn check(&mut self, in_order: bool) -> Result<()> {
-        let start_ns = self.start_ns();
-        for track in &mut self.tracks {
-            let mut unusable = Unusable::default();
-            for (time, valid) in track.times_ns.iter_mut().zip(&mut track.valid) {
-                (*time, *valid) = unusable.see(*time, *valid, in_order);
-            }
-            unusable.report(&track.info, start_ns, &self.name, &mut self.findings)?;
-        }
-        Ok(())
+        (self.is_force() && 2 * (not_finite + early) > rows)
+            .then(|| Code::DataRefused.error(message, remedy))
     }
 }

@@ -193,63 +193,53 @@ impl Recording {
         if all.iter().any(|track| !track.info.corrected) {
             all.retain(|track| !track.info.corrected);
         }
-        let of_sensor: Vec<&Track> = match all.first() {
-            Some(first) => {
-                let sensor = wanted.unwrap_or(first.info.sensor);
-                let same = |track: &&&Track| track.info.sensor == sensor;
-                all.iter().filter(same).copied().collect()
-            }
-            None => Vec::new(),
+        let fail =
+            |code: Code, text: &str, remedy: String| Err(code.error(text, remedy).at(&self.name));
+        let Some(first) = all.first() else {
+            let missing = self.findings.iter().find(|finding| finding.code == Code::GravityMissing);
+            let (text, remedy) = match missing {
+                Some(missing) => (&*missing.text, missing.remedy.clone()),
+                None => (
+                    "there is no accelerometer in it",
+                    "`wimu info FILE` lists what it has".to_owned(),
+                ),
+            };
+            return fail(Code::NoRows, text, remedy);
         };
-        let fail = |code: Code, message: String, remedy: String| {
-            Err(code.error(message, remedy).at(&self.name))
-        };
+        let sensor = wanted.unwrap_or(first.info.sensor);
+        let same = |track: &&&Track| track.info.sensor == sensor;
+        let of_sensor: Vec<&Track> = all.iter().filter(same).copied().collect();
         let range = |track: &&Track| match track.info.unit {
             Unit::Counts { si_per_lsb } => Some((STANDARD_GRAVITY_MPS2 / si_per_lsb?).to_string()),
             _ => None,
         };
         let ranges: Vec<String> = of_sensor.iter().filter_map(range).collect();
         if let [first, _, ..] = ranges.as_slice() {
-            return fail(
-                Code::CsvMixedUnits,
-                format!("the range changes: 1 g is {} LSB", ranges.join(", then ")),
-                format!(
-                    "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
-                ),
+            let text = format!("the range changes: 1 g is {} LSB", ranges.join(", then "));
+            let remedy = format!(
+                "select the rows of one range with --where \"Sensitivity (LSB/g)={first}\", or record at one range"
             );
+            return fail(Code::CsvMixedUnits, &text, remedy);
         }
         if ranges.is_empty() && of_sensor.len() > 1 {
             let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
-            return fail(
-                Code::Usage,
-                format!("several accelerometers have the same number: {}", names.join(", ")),
-                "give one file of the folder or archive, or choose with --topic".to_owned(),
-            );
+            let text = format!("several accelerometers have the same number: {}", names.join(", "));
+            let remedy = "give one file of the folder or archive, or choose with --topic";
+            return fail(Code::Usage, &text, remedy.to_owned());
         }
         let numbers: Vec<_> = all.iter().map(|t| t.info.sensor.to_string()).collect();
         let numbers = numbers.join(", ");
-        let gravity = |finding: &&Problem| finding.code == Code::GravityMissing;
-        match (all.as_slice(), wanted, of_sensor.first()) {
-            ([], ..) => match self.findings.iter().find(gravity) {
-                Some(missing) => fail(Code::NoRows, missing.text.clone(), missing.remedy.clone()),
-                None => fail(
-                    Code::NoRows,
-                    "there is no accelerometer in it".to_owned(),
-                    "`wimu info FILE` lists what it has".to_owned(),
-                ),
-            },
-            ([only], None, _) => Ok(only),
-            // A board corrects its first sensor.
-            (_, None, Some(track)) if self.format == super::OF_WIMU => Ok(track),
-            (_, Some(_), Some(track)) => Ok(track),
-            (_, Some(number), None) => fail(
+        // A board corrects its first sensor.
+        let is_chosen = wanted.is_some() || all.len() == 1 || self.format == super::OF_WIMU;
+        match of_sensor.first() {
+            Some(track) if is_chosen => Ok(track),
+            None => {
+                let text = format!("it has no accelerometer {sensor}");
+                fail(Code::Usage, &text, format!("choose from: {numbers}"))
+            }
+            Some(_) => fail(
                 Code::Usage,
-                format!("it has no accelerometer {number}"),
-                format!("choose from: {numbers}"),
-            ),
-            (_, None, _) => fail(
-                Code::Usage,
-                format!("it has {} accelerometers", all.len()),
+                &format!("it has {} accelerometers", all.len()),
                 format!(
                     "choose one with --sensor: {numbers}; the accelerometers of an array are calibrated together with \
                      --geometry"

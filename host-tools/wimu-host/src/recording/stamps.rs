@@ -5,9 +5,10 @@
 
 use std::collections::VecDeque;
 
-use super::{Sink, TrackId, TrackInfo};
+use super::TrackId;
 use crate::plural::counted;
-use crate::{Code, Problem, Severity};
+use crate::problem::Severity;
+use crate::{Code, Problem};
 
 /// Rows by which a stamp is judged.
 const AHEAD: usize = 32;
@@ -21,8 +22,20 @@ const RESTART_NS: i64 = 2_000_000_000;
 const MOST_RESTARTS: usize = 16;
 /// Ticks after which counters start again: 16 and 32 bits, signed or not.
 const MODULI: [i64; 2] = [1 << 16, 1 << 32];
+/// Times after which clocks of an hour, half a day or a day start again, and by which summer time begins and ends, ns.
+const CYCLES_NS: [i64; 3] = [3_600_000_000_000, 43_200_000_000_000, 86_400_000_000_000];
 /// Share of equal stamps that is worth a warning.
 const MANY_EQUAL: f64 = 0.01;
+
+/// The stamps of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Stamped {
+    /// Those of a clock of its own, whose counter has ticks of this length, ns; `None`: dates.
+    By(Option<i64>),
+    /// Those of the rows of another track.
+    Like(TrackId),
+}
 
 /// A row that is held back.
 #[derive(Default)]
@@ -31,10 +44,14 @@ struct Row {
     values: Vec<(TrackId, [f64; 4], usize)>,
 }
 
-/// Hands rows on with the times of one clock.
-pub(crate) struct Stamps<'a> {
-    sink: &'a mut dyn Sink,
-    /// Length of a tick of a counter, ns; `None`: the stamps are dates.
+/// Where a row goes; one with a wrong stamp has no values.
+type Out<'a> = dyn FnMut(TrackId, i64, &[f64]) + 'a;
+
+/// The clock of some tracks.
+#[derive(Default)]
+pub(super) struct Clock {
+    /// Name of its first track.
+    pub(super) name: String,
     tick_ns: Option<i64>,
     rows: VecDeque<Row>,
     /// Rows that have been handed on, for their room.
@@ -44,6 +61,8 @@ pub(crate) struct Stamps<'a> {
     /// Latest stamp with it, and latest time that was handed on, ns.
     last_ns: Option<[i64; 2]>,
     first_ns: i64,
+    /// Time between rows that were spread last, ns.
+    spacing_ns: i64,
     count: usize,
     equal: usize,
     wraps: usize,
@@ -52,32 +71,41 @@ pub(crate) struct Stamps<'a> {
     wrong: (usize, i64),
 }
 
-impl<'a> Stamps<'a> {
-    pub(crate) fn new(sink: &'a mut dyn Sink, tick_ns: Option<i64>) -> Self {
-        Self {
-            sink,
-            tick_ns,
-            rows: VecDeque::new(),
-            spare: Vec::new(),
-            offset_ns: 0,
-            last_ns: None,
-            first_ns: 0,
-            count: 0,
-            equal: 0,
-            wraps: 0,
-            restarts: 0,
-            wrong: (0, 0),
+impl Clock {
+    pub(super) fn new(name: &str, tick_ns: Option<i64>) -> Self {
+        Self { name: name.to_owned(), tick_ns, ..Self::default() }
+    }
+
+    /// Takes a row, and hands on those that are settled.
+    pub(super) fn push(&mut self, track: TrackId, time_ns: i64, values: &[f64], out: &mut Out) {
+        let mut kept = [f64::NAN; 4];
+        let width = values.len().min(kept.len());
+        kept[..width].copy_from_slice(&values[..width]);
+        let has_no = |row: &&mut Row| {
+            row.time_ns == time_ns && row.values.iter().all(|(known, ..)| *known != track)
+        };
+        if let Some(row) = self.rows.back_mut().filter(has_no) {
+            return row.values.push((track, kept, width));
+        }
+        let mut row = self.spare.pop().unwrap_or_default();
+        row.time_ns = time_ns;
+        row.values.push((track, kept, width));
+        self.rows.push_back(row);
+        if self.rows.len() > 2 * AHEAD {
+            self.settle(false, out);
         }
     }
 
-    /// Hands on the rows that are left, and what was found.
-    pub(crate) fn finish(mut self) {
+    /// Hands on the rows that are left.
+    pub(super) fn finish(&mut self, out: &mut Out) {
         while !self.rows.is_empty() {
-            self.settle(true);
+            self.settle(true, out);
         }
-        let warning = |code: Code, text: String, remedy: &str| {
-            Problem::new(code, Severity::Warning, text).remedy(remedy)
-        };
+    }
+
+    /// What was found.
+    pub(super) fn problems(&self) -> Vec<Problem> {
+        let mut problems = Vec::new();
         if self.equal > 0 {
             let share = self.equal as f64 / self.count as f64;
             let text = format!(
@@ -88,20 +116,19 @@ impl<'a> Stamps<'a> {
             );
             let severity = if share > MANY_EQUAL { Severity::Warning } else { Severity::Note };
             let finding = Problem::new(Code::TimesUnordered, severity, text);
-            self.sink
-                .finding(finding.remedy("such rows are spread over the time to the next stamp"));
+            problems.push(finding.remedy("such rows are spread over the time to the next stamp"));
         }
         if self.wraps > 0 {
-            let text =
-                format!("the counter of the times starts again: {}", counted(self.wraps, "time"));
+            let wraps = counted(self.wraps, "time");
+            let text = format!("the counter of the times starts again: {wraps}");
             let finding = Code::Clock.note(text);
-            self.sink.finding(finding.remedy("its times are continued"));
+            problems.push(finding.remedy("its times are continued"));
         }
         if self.restarts > 0 {
-            let text =
-                format!("the clock of the times restarts: {}", counted(self.restarts, "time"));
+            let restarts = counted(self.restarts, "time");
+            let text = format!("the clock of the times restarts: {restarts}");
             let remedy = "the time in between is not known and taken as 2 s";
-            self.sink.finding(warning(Code::TimesUnordered, text, remedy));
+            problems.push(Code::TimesUnordered.warning(text).remedy(remedy));
         }
         let (wrong, first_ns) = self.wrong;
         if wrong > 0 {
@@ -110,12 +137,13 @@ impl<'a> Stamps<'a> {
                 counted(wrong, "time stamp"),
                 first_ns.saturating_sub(self.first_ns) as f64 * 1e-9
             );
-            self.sink.finding(warning(Code::RowsMasked, text, "these rows are left out"));
+            problems.push(Code::RowsMasked.warning(text).remedy("these rows are left out"));
         }
+        problems
     }
 
     /// Hands on the first row, and those with the same stamp. `is_end`: there are no further rows.
-    fn settle(&mut self, is_end: bool) {
+    fn settle(&mut self, is_end: bool, out: &mut Out) {
         let Some(first) = self.rows.front() else { return };
         let raw_ns = first.time_ns;
         let equal = self.rows.iter().take_while(|row| row.time_ns == raw_ns).count();
@@ -124,39 +152,56 @@ impl<'a> Stamps<'a> {
         }
         let Some([last_ns, latest_ns]) = self.last_ns else {
             self.first_ns = raw_ns;
-            return self.hand_on(equal, raw_ns, false);
+            return self.hand_on(equal, raw_ns, false, out);
         };
         let period_ns = self.period_ns(last_ns);
         let step_ns = self.shifted(raw_ns).saturating_sub(last_ns);
         let is_near = |step_ns: i64| step_ns >= 0 && step_ns as f64 <= FAR * period_ns;
         if is_near(step_ns) || period_ns <= 0.0 {
-            return self.hand_on(equal, self.shifted(raw_ns), false);
+            return self.hand_on(equal, self.shifted(raw_ns), false, out);
         }
-        // A row soon after it that continues the rows before says that this one is wrong.
-        let continues = |(k, row): (usize, &Row)| {
-            let step_ns = self.shifted(row.time_ns).saturating_sub(last_ns);
-            let contradicts = self.shifted(raw_ns) < last_ns || row.time_ns < raw_ns;
-            contradicts && step_ns > 0 && step_ns as f64 <= (k as f64 + 2.0) * 3.0 * period_ns
-        };
-        let rest = self.rows.iter().enumerate().skip(equal).take(AHEAD);
-        if rest.clone().any(continues) {
+        if self.is_contradicted(equal, last_ns, period_ns) {
             let first_wrong_ns = if self.wrong.0 == 0 { latest_ns } else { self.wrong.1 };
             self.wrong = (self.wrong.0 + equal, first_wrong_ns);
-            return self.hand_on(equal, latest_ns, true);
+            return self.hand_on(equal, latest_ns, true, out);
         }
-        if step_ns < 0 {
-            let wrapped = MODULI.iter().filter_map(|ticks| self.tick_ns?.checked_mul(*ticks));
-            if let Some(cycle_ns) =
-                wrapped.into_iter().find(|cycle| is_near(step_ns.saturating_add(*cycle)))
-            {
-                self.wraps += 1;
-                self.offset_ns = self.shifted(cycle_ns);
-            } else if self.restarts < MOST_RESTARTS && self.is_restart(raw_ns, period_ns) {
-                self.restarts += 1;
-                self.offset_ns = latest_ns.saturating_add(RESTART_NS).saturating_sub(raw_ns);
+        let is_back = step_ns < 0;
+        let cycle_ns = self.cycles_ns(is_back).into_iter();
+        if let Some(cycle_ns) = cycle_ns.flatten().find(|ns| is_near(step_ns.saturating_add(*ns))) {
+            self.wraps += 1;
+            self.offset_ns = self.shifted(cycle_ns);
+        } else if is_back && self.restarts < MOST_RESTARTS && self.is_restart(raw_ns, period_ns) {
+            self.restarts += 1;
+            self.offset_ns = latest_ns.saturating_add(RESTART_NS).saturating_sub(raw_ns);
+        }
+        self.hand_on(equal, self.shifted(raw_ns), false, out);
+    }
+
+    /// Whether a row soon after the first `equal` ones continues the rows before, so that they are wrong.
+    fn is_contradicted(&self, equal: usize, last_ns: i64, period_ns: f64) -> bool {
+        let Some(raw_ns) = self.rows.front().map(|row| row.time_ns) else { return false };
+        // As many stamps as there are up to a row, within a factor of three.
+        let (mut stamps, mut before_ns) = (1.0, raw_ns);
+        self.rows.iter().skip(equal).take(AHEAD).any(|row| {
+            if row.time_ns != before_ns {
+                (stamps, before_ns) = (stamps + 1.0, row.time_ns);
             }
+            let steps = self.shifted(row.time_ns).saturating_sub(last_ns) as f64 / period_ns;
+            let contradicts = self.shifted(raw_ns) < last_ns || row.time_ns < raw_ns;
+            contradicts && steps > stamps / 3.0 && steps <= 3.0 * (stamps + 1.0)
+        })
+    }
+
+    /// What may be added where the stamps go back, and of dates also where they leap ahead, ns.
+    fn cycles_ns(&self, is_back: bool) -> [Option<i64>; 3] {
+        match self.tick_ns {
+            Some(tick_ns) => {
+                let [short, long] =
+                    MODULI.map(|ticks| tick_ns.checked_mul(ticks).filter(|_| is_back));
+                [short, long, None]
+            }
+            None => CYCLES_NS.map(|ns| Some(if is_back { ns } else { -ns })),
         }
-        self.hand_on(equal, self.shifted(raw_ns), false);
     }
 
     fn shifted(&self, time_ns: i64) -> i64 {
@@ -192,7 +237,7 @@ impl<'a> Stamps<'a> {
     }
 
     /// Hands on `count` rows from a time on, spread over the time to the next one; as unusable ones at that time.
-    fn hand_on(&mut self, count: usize, time_ns: i64, is_wrong: bool) {
+    fn hand_on(&mut self, count: usize, time_ns: i64, is_wrong: bool, out: &mut Out) {
         let next_ns = self.rows.get(count).map(|next| self.shifted(next.time_ns));
         let until_ns = next_ns.filter(|next| *next > time_ns && !is_wrong);
         // Not over a gap: as far as between the stamp before and this one.
@@ -200,15 +245,20 @@ impl<'a> Stamps<'a> {
             .last_ns
             .map(|[last_ns, _]| time_ns.saturating_sub(last_ns))
             .filter(|step| *step > 0);
-        let whole_ns = until_ns.map_or(0, |until| until.saturating_sub(time_ns));
+        let whole_ns = match (next_ns, until_ns) {
+            (_, Some(until_ns)) => until_ns.saturating_sub(time_ns),
+            (None, None) => self.spacing_ns.saturating_mul(count as i64),
+            (Some(_), None) => 0,
+        };
         let whole_ns =
             before_ns.map_or(whole_ns, |step| whole_ns.min(step.saturating_mul(2 * count as i64)));
+        self.spacing_ns = if count > 1 { whole_ns / count as i64 } else { 0 };
         for k in 0..count {
             let Some(mut row) = self.rows.pop_front() else { break };
             let later_ns = (i128::from(whole_ns) * k as i128 / count as i128) as i64;
             for (track, values, width) in &row.values {
-                let values = if is_wrong { [f64::NAN; 4] } else { *values };
-                self.sink.row(*track, time_ns.saturating_add(later_ns), &values[..*width]);
+                let width = if is_wrong { 0 } else { *width };
+                out(*track, time_ns.saturating_add(later_ns), &values[..width]);
             }
             row.values.clear();
             self.spare.push(row);
@@ -218,130 +268,5 @@ impl<'a> Stamps<'a> {
         }
         self.equal += if is_wrong { 0 } else { count - 1 };
         self.count += count;
-    }
-}
-
-impl Sink for Stamps<'_> {
-    fn track(&mut self, info: TrackInfo) -> TrackId {
-        self.sink.track(info)
-    }
-
-    fn row(&mut self, track: TrackId, time_ns: i64, values: &[f64]) {
-        let mut kept = [f64::NAN; 4];
-        kept[..values.len()].copy_from_slice(values);
-        let item = (track, kept, values.len());
-        let has_no = |row: &&mut Row| {
-            row.time_ns == time_ns && row.values.iter().all(|(known, ..)| *known != track)
-        };
-        if let Some(row) = self.rows.back_mut().filter(has_no) {
-            return row.values.push(item);
-        }
-        let mut row = self.spare.pop().unwrap_or_default();
-        row.time_ns = time_ns;
-        row.values.push(item);
-        self.rows.push_back(row);
-        if self.rows.len() > 2 * AHEAD {
-            self.settle(false);
-        }
-    }
-
-    fn finding(&mut self, finding: Problem) {
-        self.sink.finding(finding);
-    }
-
-    fn takes_any(&self) -> bool {
-        self.sink.takes_any()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::recording::{Quantity, Recording, Unit};
-
-    /// The time of each row, `None` of one that is left out.
-    fn clock(stamps: impl IntoIterator<Item = i64>) -> (Vec<Option<i64>>, Vec<Code>) {
-        let mut recording = Recording::new("table");
-        let mut stamped = Stamps::new(&mut recording, Some(1));
-        let track = stamped.track(TrackInfo::new("f", Quantity::SpecificForce, Unit::Si));
-        for stamp in stamps {
-            stamped.row(track, stamp, &[0.0, 0.0, 9.8]);
-        }
-        stamped.finish();
-        let track = &recording.tracks()[0];
-        let times = track.times_ns().iter().zip(track.mask());
-        let times = times.map(|(time, is_valid)| is_valid.then_some(*time)).collect();
-        (times, recording.findings.iter().map(|finding| finding.code).collect())
-    }
-
-    fn regular(range: std::ops::Range<i64>) -> impl Iterator<Item = i64> {
-        range.map(|k| 1000 * k)
-    }
-
-    #[test]
-    fn stamps_that_are_one_clock_stay_as_they_are() {
-        let gap = || regular(0..100).chain(regular(5000..5100));
-        let jitter = || (0..200).map(|k| 1000 * k + [0, 900, 300][k as usize % 3]);
-        for stamps in [Vec::from_iter(gap()), Vec::from_iter(jitter()), vec![7], vec![]] {
-            let expected = stamps.iter().copied().map(Some).collect();
-            assert_eq!(clock(stamps), (expected, vec![]));
-        }
-    }
-
-    #[test]
-    fn a_counter_that_wraps_goes_on() {
-        // The count after the last one, and that at which it goes on.
-        for (end, start) in [(1 << 16, 0), (1 << 32, 0), (1 << 31, -(1 << 31))] {
-            let count = |k: i64| end - 50_000 + 1000 * k;
-            let wrapped = |k: i64| if count(k) < end { count(k) } else { count(k) - end + start };
-            let (times, findings) = clock((0..100).map(wrapped));
-            let steps = times.windows(2).map(|pair| pair[1].unwrap() - pair[0].unwrap());
-            assert!(steps.into_iter().all(|step| step == 1000), "{end}");
-            assert_eq!(findings, [Code::Clock]);
-        }
-    }
-
-    #[test]
-    fn equal_stamps_are_spread() {
-        // Of ten rows a stamp, and of every fifth that repeats the one before.
-        let (times, findings) = clock((0..200).map(|k| 1000 * (k / 10)));
-        assert!(times[..190].iter().zip(0..).all(|(time, k)| *time == Some(100 * k)));
-        assert_eq!(findings, [Code::TimesUnordered]);
-        let (times, _) = clock((0..200).map(|k| 1000 * (k - i64::from(k % 5 == 4))));
-        assert!(times.iter().zip(0..).all(|(time, k)| *time == Some(1000 * k) || k == 199));
-    }
-
-    #[test]
-    fn a_stamp_that_the_rows_around_contradict_is_left_out() {
-        for wrong in [0, 50_001, 4_200_000_000_000_000_000, -5] {
-            let (times, findings) = clock((0..100).map(|k| if k == 40 { wrong } else { 1000 * k }));
-            let left_out: Vec<_> = (0..100).filter(|k| times[*k].is_none()).collect();
-            assert_eq!((left_out, findings), (vec![40], vec![Code::RowsMasked]), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn a_clock_that_restarts_goes_on_after_a_break() {
-        let (times, findings) = clock(regular(0..100).chain(regular(0..100)));
-        assert_eq!(times[100], Some(99_000 + RESTART_NS));
-        assert_eq!(times[199], Some(198_000 + RESTART_NS));
-        assert_eq!(findings, [Code::TimesUnordered]);
-    }
-
-    #[test]
-    fn extreme_stamps_do_no_harm() {
-        let ends = [i64::MIN, i64::MAX, 0, -1, i64::MAX - 5, i64::MIN + 7];
-        let (times, _) = clock((0..300).map(|k| ends[k * k % 6]));
-        assert_eq!(times.len(), 300);
-    }
-
-    #[test]
-    fn rows_without_an_order_are_refused() {
-        let mut recording = Recording::new("table");
-        let mut stamped = Stamps::new(&mut recording, Some(1));
-        let track = stamped.track(TrackInfo::new("f", Quantity::SpecificForce, Unit::Si));
-        (0..300).for_each(|k| stamped.row(track, 1000 * (k * 7919 % 300), &[0.0, 0.0, 9.8]));
-        stamped.finish();
-        assert!(recording.check(true).is_err());
     }
 }

@@ -1,11 +1,16 @@
 //! Sample rate and gaps from the times of a file's rows.
 
+use crate::stats::median;
+
 /// A longer time between two rows is a break, not a sample period, ns.
-pub(crate) const BREAK_NS: i64 = 1_000_000_000;
+const BREAK_NS: i64 = 1_000_000_000;
 /// Rows on either side of a step by which a gap is judged.
 pub(crate) const REACH: usize = 128;
 /// Fewest missing samples of a gap: fewer may be a delayed time stamp.
 const MIN_MISSING: f64 = 3.0;
+/// Fraction of the steps that are about the median where rows are regular and single ones are missing, and how near, relative.
+const REGULAR: f64 = 0.8;
+const NEAR: f64 = 0.1;
 
 /// Rate, Hz, and the rows after a gap, from the times of the rows, ns; `None` without two times within a second.
 ///
@@ -20,14 +25,27 @@ struct RowTimes<'a>(&'a [i64]);
 
 impl RowTimes<'_> {
     fn rate_and_gaps(&self) -> Option<(f64, Vec<usize>)> {
-        let mut period = self.usual_step_ns().or(self.period_ns(&[]))?;
+        let regular = self.regular_step_ns();
+        let mut period = regular.or(self.usual_step_ns()).or(self.period_ns(&[]))?;
         let mut gaps = Vec::new();
         // Gaps are excluded from the period of the next pass.
         for _ in 0..3 {
             gaps = self.gaps(period);
-            period = self.period_ns(&gaps)?;
+            period = regular.or(self.period_ns(&gaps))?;
         }
         Some((1e9 / period, gaps))
+    }
+
+    /// Mean of the steps about the median, ns, if they are most steps and most of the time: the others have missing rows.
+    fn regular_step_ns(&self) -> Option<f64> {
+        let steps = self.0.windows(2).map(|pair| pair[1].saturating_sub(pair[0]) as f64);
+        let steps = steps.filter(|step| *step <= BREAK_NS as f64);
+        let median = median(steps.clone()).filter(|step| *step > 0.0)?;
+        let near: Vec<f64> =
+            steps.clone().filter(|step| (step / median - 1.0).abs() < NEAR).collect();
+        let sum: f64 = near.iter().sum();
+        let is_most = near.len() as f64 >= REGULAR * steps.clone().count() as f64;
+        (is_most && 2.0 * sum >= steps.sum()).then(|| sum / near.len() as f64)
     }
 
     /// The median step, ns, if steps of about its length are most of the time, which is not so in bursts.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::super::Source;
-use super::super::window::{Damage, Window, bytes_at};
+use super::super::window::{Damage, Number, Window, bytes_at};
 use crate::{Code, Result};
 
 /// First bytes of a message; then follows its type.
@@ -22,54 +22,57 @@ pub(super) const START: [u8; 3] = [MAGIC[0], MAGIC[1], FMT];
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Field {
     offset: usize,
-    code: u8,
+    number: Option<(Number, f64)>,
     /// Index among the message's fields.
     pub(super) index: usize,
 }
 
 impl Field {
-    /// Its value in units of the field; exact for integers below 2⁵³.
+    /// Its value in units of the field.
     pub(super) fn read(self, message: &[u8]) -> Option<f64> {
-        let at = self.offset;
-        let hundredth = |value: f64| value / 100.0;
-        Some(match self.code {
-            b'b' => i8::from_le_bytes(bytes_at(message, at)?).into(),
-            b'B' | b'M' => u8::from_le_bytes(bytes_at(message, at)?).into(),
-            b'h' => i16::from_le_bytes(bytes_at(message, at)?).into(),
-            b'H' => u16::from_le_bytes(bytes_at(message, at)?).into(),
-            b'c' => hundredth(i16::from_le_bytes(bytes_at(message, at)?).into()),
-            b'C' => hundredth(u16::from_le_bytes(bytes_at(message, at)?).into()),
-            b'i' => i32::from_le_bytes(bytes_at(message, at)?).into(),
-            b'I' => u32::from_le_bytes(bytes_at(message, at)?).into(),
-            b'e' => hundredth(i32::from_le_bytes(bytes_at(message, at)?).into()),
-            b'E' => hundredth(u32::from_le_bytes(bytes_at(message, at)?).into()),
-            b'L' => f64::from(i32::from_le_bytes(bytes_at(message, at)?)) * 1e-7,
-            b'f' => f32::from_le_bytes(bytes_at(message, at)?).into(),
-            b'd' => f64::from_le_bytes(bytes_at(message, at)?),
-            b'q' => i64::from_le_bytes(bytes_at(message, at)?) as f64,
-            b'Q' => u64::from_le_bytes(bytes_at(message, at)?) as f64,
-            _ => return None,
-        })
+        let (number, scale) = self.number?;
+        Some(number.read(message, self.offset)? * scale)
     }
 
     /// Whether the type implies a factor, which [`read`](Self::read) applies; the multiplier of
     /// the field repeats it.
     pub(super) fn is_scaled(self) -> bool {
-        b"cCeEL".contains(&self.code)
+        self.number.is_some_and(|(_, scale)| scale != 1.0)
     }
+}
+
+/// Type of a field, and the factor that it implies.
+fn number(code: u8) -> Option<(Number, f64)> {
+    use Number::{Float, Signed, Unsigned};
+    Some(match code {
+        b'b' => (Signed(1), 1.0),
+        b'B' | b'M' => (Unsigned(1), 1.0),
+        b'h' => (Signed(2), 1.0),
+        b'H' => (Unsigned(2), 1.0),
+        b'c' => (Signed(2), 0.01),
+        b'C' => (Unsigned(2), 0.01),
+        b'i' => (Signed(4), 1.0),
+        b'I' => (Unsigned(4), 1.0),
+        b'e' => (Signed(4), 0.01),
+        b'E' => (Unsigned(4), 0.01),
+        b'L' => (Signed(4), 1e-7),
+        b'f' => (Float(4), 1.0),
+        b'd' => (Float(8), 1.0),
+        b'q' => (Signed(8), 1.0),
+        b'Q' => (Unsigned(8), 1.0),
+        _ => return None,
+    })
 }
 
 /// Bytes of a field.
 fn width(code: u8) -> Option<usize> {
-    Some(match code {
-        b'b' | b'B' | b'M' => 1,
-        b'h' | b'H' | b'c' | b'C' | b'g' => 2,
-        b'i' | b'I' | b'e' | b'E' | b'L' | b'f' | b'n' => 4,
-        b'q' | b'Q' | b'd' => 8,
-        b'N' => 16,
-        b'a' | b'Z' => 64,
-        _ => return None,
-    })
+    match code {
+        b'g' => Some(2),
+        b'n' => Some(4),
+        b'N' => Some(16),
+        b'a' | b'Z' => Some(64),
+        _ => number(code).map(|(number, _)| number.bytes()),
+    }
 }
 
 /// A kind of message.
@@ -96,7 +99,7 @@ impl Format {
         let mut known = true;
         for (index, &code) in codes.enumerate() {
             let label = labels.next().unwrap_or_default().trim().to_owned();
-            let field = Field { offset, code, index };
+            let field = Field { offset, number: number(code), index };
             fields.push((label, field));
             known &= width(code).is_some();
             offset += width(code).unwrap_or(0);

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::super::Source;
-use super::super::window::{Damage, Window, bytes_at};
+use super::super::window::{Damage, Number, Window, bytes_at};
 use crate::{Code, Result};
 
 /// First bytes of a file; then follow its version and its start time, 9 bytes.
@@ -17,43 +17,17 @@ const MAX_DEPTH: usize = 8;
 /// Most formats, subscriptions and fields of a format that are kept; PX4 has fewer than 300.
 const MAX_KEPT: usize = 1024;
 
-/// Type of a number.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Type {
-    Unsigned,
-    Signed,
-    Float,
-}
-
 /// A field of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Field {
     offset: usize,
-    bytes: usize,
-    kind: Type,
-    /// Number of elements.
-    pub(super) count: usize,
+    number: Number,
 }
 
 impl Field {
-    /// An element; exact for integers below 2⁵³.
+    /// An element.
     pub(super) fn read(&self, payload: &[u8], element: usize) -> Option<f64> {
-        let offset = self.offset + element * self.bytes;
-        let bytes = payload.get(offset..offset + self.bytes)?;
-        if self.kind == Type::Float {
-            return match self.bytes {
-                4 => Some(f32::from_le_bytes(bytes_at(bytes, 0)?).into()),
-                _ => Some(f64::from_le_bytes(bytes_at(bytes, 0)?)),
-            };
-        }
-        let mut wide = [0; 8];
-        wide[..self.bytes].copy_from_slice(bytes);
-        let unused = 64 - 8 * self.bytes as u32;
-        let value = u64::from_le_bytes(wide) << unused;
-        match self.kind {
-            Type::Signed => Some((value as i64 >> unused) as f64),
-            _ => Some((value >> unused) as f64),
-        }
+        self.number.read(payload, self.offset + element * self.number.bytes())
     }
 }
 
@@ -83,28 +57,27 @@ impl Layout {
                 None => (kind, 1_usize),
             };
             let number = match kind {
-                "uint8_t" | "bool" | "char" => Some((Type::Unsigned, 1)),
-                "int8_t" => Some((Type::Signed, 1)),
-                "uint16_t" => Some((Type::Unsigned, 2)),
-                "int16_t" => Some((Type::Signed, 2)),
-                "uint32_t" => Some((Type::Unsigned, 4)),
-                "int32_t" => Some((Type::Signed, 4)),
-                "uint64_t" => Some((Type::Unsigned, 8)),
-                "int64_t" => Some((Type::Signed, 8)),
-                "float" => Some((Type::Float, 4)),
-                "double" => Some((Type::Float, 8)),
+                "uint8_t" | "bool" | "char" => Some(Number::Unsigned(1)),
+                "int8_t" => Some(Number::Signed(1)),
+                "uint16_t" => Some(Number::Unsigned(2)),
+                "int16_t" => Some(Number::Signed(2)),
+                "uint32_t" => Some(Number::Unsigned(4)),
+                "int32_t" => Some(Number::Signed(4)),
+                "uint64_t" => Some(Number::Unsigned(8)),
+                "int64_t" => Some(Number::Signed(8)),
+                "float" => Some(Number::Float(4)),
+                "double" => Some(Number::Float(8)),
                 _ => None,
             };
             let bytes = match number {
-                Some((_, bytes)) => bytes,
+                Some(number) => {
+                    let field = Field { offset: layout.bytes, number };
+                    layout.fields.insert(name.to_owned(), field);
+                    number.bytes()
+                }
                 None if depth < MAX_DEPTH => Self::parse(formats, kind, depth + 1)?.bytes,
                 None => return None,
             };
-            if let Some((kind, bytes)) = number {
-                let offset = layout.bytes;
-                let field = Field { offset, bytes, kind, count };
-                layout.fields.insert(name.to_owned(), field);
-            }
             layout.bytes = bytes.checked_mul(count)?.checked_add(layout.bytes)?;
             if layout.bytes > usize::from(u16::MAX) || layout.fields.len() > MAX_KEPT {
                 return None;
@@ -128,16 +101,11 @@ pub(super) struct Subscription {
     pub(super) layout: Option<Layout>,
 }
 
-/// A message that [`walk`] hands on.
-pub(super) enum Message<'a> {
-    /// Values of a topic.
-    Data(u16, &'a Subscription, &'a [u8]),
-    /// Time during which the logger lost data, ms.
-    Dropout(u16),
-}
-
-/// Reads a file and hands its messages to `each`; returns its damage and its length in bytes.
-pub(super) fn walk(source: &Source, each: &mut dyn FnMut(Message)) -> Result<(Damage, u64)> {
+/// Reads a file and hands the values of topics to `each`; returns its damage and its length in bytes.
+pub(super) fn walk(
+    source: &Source,
+    each: &mut dyn FnMut(&Subscription, &[u8]),
+) -> Result<(Damage, u64)> {
     let mut window = Window::new(source, 0)?;
     if !window.peek(HEADER_BYTES)?.starts_with(&MAGIC) {
         return Err(Code::BadRecording
@@ -156,7 +124,7 @@ pub(super) fn walk(source: &Source, each: &mut dyn FnMut(Message)) -> Result<(Da
         let ahead = window.peek(length.unwrap_or(0) + MESSAGE_HEADER_BYTES + 2)?;
         match length.filter(|length| state.is_whole(ahead, *length)) {
             Some(length) => {
-                state.take(&ahead[2..length], each);
+                state.take(&ahead[2..length], &mut damage, each);
                 window.skip(length);
             }
             None => {
@@ -204,7 +172,12 @@ impl State {
     }
 
     /// Uses a message: its kind and its content.
-    fn take(&mut self, message: &[u8], each: &mut dyn FnMut(Message)) {
+    fn take(
+        &mut self,
+        message: &[u8],
+        damage: &mut Damage,
+        each: &mut dyn FnMut(&Subscription, &[u8]),
+    ) {
         let (kind, content) = (message[0], &message[1..]);
         let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
         match kind {
@@ -225,14 +198,13 @@ impl State {
             }
             b'D' => {
                 let id = bytes_at(content, 0).map(u16::from_le_bytes);
-                let subscription = id.and_then(|id| Some((id, self.subscriptions.get(&id)?)));
-                if let Some((id, subscription)) = subscription {
-                    each(Message::Data(id, subscription, &content[2..]));
+                if let Some(subscription) = id.and_then(|id| self.subscriptions.get(&id)) {
+                    each(subscription, &content[2..]);
                 }
             }
             b'O' => {
-                if let Some(duration) = bytes_at(content, 0) {
-                    each(Message::Dropout(u16::from_le_bytes(duration)));
+                if let Some(duration_ms) = bytes_at(content, 0) {
+                    damage.add_dropout(u16::from_le_bytes(duration_ms));
                 }
             }
             _ => (),

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use std::io::{self, SeekFrom};
 
 use super::chunk;
-use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
 use crate::formats::source::ReadSeek;
 use crate::mcap_file::records::{fill, number, sized};
 use crate::recording::Sink;
+use crate::ros::message::Encoding;
 use crate::{Code, Problem, Result};
 
 const MAGIC: &[u8] = b"#ROSBAG V";
@@ -51,18 +51,19 @@ pub(in crate::formats) fn read(
     let mut reader = Reader {
         messages: Messages::new(source, options, sink),
         topics: BTreeMap::new(),
-        counts: BTreeMap::new(),
         orphans: 0,
+        is_closed: false,
         chunk_at: None,
     };
     let failed = |error| Problem::file(source.name(), "read", &error);
-    if let Some(at) = reader.file(&mut *source.reader()?).map_err(failed)? {
-        reader.messages.cut(source.name(), at);
+    let mut file = source.reader()?;
+    let end = file.seek(SeekFrom::End(0)).map_err(failed)?;
+    let cut = reader.walk(&mut *file, VERSION.len() as u64, end).map_err(failed)?;
+    // Chunk infos follow the last chunk of a bag that was closed.
+    if let Some(at) = cut.or((!reader.is_closed).then_some(end)) {
+        reader.messages.damage.cut("the file", at);
     }
-    let counts = reader.counts.values();
-    let missing = counts.map(|(indexed, read)| indexed.saturating_sub(*read));
-    let missing: u64 = missing.sum();
-    reader.messages.missing(missing.max(reader.orphans));
+    reader.messages.damage.missing(reader.orphans);
     reader.messages.finish()
 }
 
@@ -70,11 +71,10 @@ struct Reader<'a> {
     messages: Messages<'a>,
     /// Numbers of topics by connection.
     topics: BTreeMap<u32, usize>,
-    /// Messages by connection: in the index, and read.
-    counts: BTreeMap<u32, (u64, u64)>,
     /// Messages without a connection.
     orphans: u64,
-    /// Position of the compressed chunk whose records are read.
+    is_closed: bool,
+    /// Position of the chunk whose records are read.
     chunk_at: Option<u64>,
 }
 
@@ -85,34 +85,6 @@ struct Head {
 }
 
 impl Reader<'_> {
-    /// Reads all records, those of the index first; returns where the file ends early or cannot be followed.
-    fn file(&mut self, file: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
-        let end = file.seek(SeekFrom::End(0))?;
-        let start = VERSION.len() as u64;
-        let index_at = head(file, start)?.and_then(|head| {
-            let position = number(&mut field(&head.header, b"index_pos")?)?;
-            Some(u64::from_le_bytes(position))
-        });
-        let mut index = None;
-        if let Some(at) = index_at.filter(|at| (start..end).contains(at)) {
-            let first = head(file, at)?.and_then(|head| code(&head.header));
-            index = (first == Some(op::CONNECTION)).then_some(at);
-        }
-        let cut = match index {
-            Some(at) => self.walk(file, at, end)?,
-            None => None,
-        };
-        let stop = index.unwrap_or(end);
-        match self.walk(file, start, stop)? {
-            Some(at) if index.is_some() => self.gap(at, stop),
-            Some(at) => return Ok(Some(at)),
-            None => {}
-        }
-        // Chunk infos follow the last chunk of a bag that was closed.
-        let indexed = self.counts.values().any(|(indexed, _)| *indexed > 0);
-        Ok(cut.or((!indexed).then_some(end)))
-    }
-
     /// Reads the records from `at` to `end`, over damaged ones; returns from where on none is found.
     fn walk(&mut self, file: &mut dyn ReadSeek, at: u64, end: u64) -> io::Result<Option<u64>> {
         let (mut at, mut gaps, mut data) = (at, 0, Vec::new());
@@ -121,27 +93,22 @@ impl Reader<'_> {
             // From where to look for the next record, if this one is damaged.
             let mut from = at + 1;
             if let Some(Head { header, length }) = &head {
-                let data_at = at + 8 + header.len() as u64;
-                let compression = field(header, b"compression");
+                let (data_at, length) = (at + 8 + header.len() as u64, *length);
                 let chunk = code(header) == Some(op::CHUNK);
-                // The records of a chunk without compression are read as those of the file.
-                let open = chunk && matches!(compression, Some(b"" | b"none"));
-                let length = if open { 0 } else { *length };
                 let next = data_at + length;
-                let used =
-                    !open && length <= chunk::MAX_BYTES && code(header) != Some(op::INDEX_DATA);
+                let used = length <= chunk::MAX_BYTES && code(header) != Some(op::INDEX_DATA);
                 if used {
                     seek(file, data_at)?;
                     fill(&mut *file, length.min(end - data_at.min(end)), &mut data)?;
                 }
-                let following = match next < end {
-                    true => self::head(file, next)?,
-                    false => None,
-                };
+                let following = if next < end { self::head(file, next)? } else { None };
                 let fits = next == end
                     || following.is_some()
                     || next < end && find(file, data_at, end)?.is_none_or(|found| found >= next);
-                if used && (fits || chunk) {
+                // The records of a chunk without compression are found in the file, too.
+                let is_packed =
+                    chunk && !matches!(field(header, b"compression"), Some(b"" | b"none"));
+                if used && (fits || is_packed) {
                     self.record(header, &data, at, !fits)?;
                 } else if fits && length > chunk::MAX_BYTES {
                     self.gap(at, next);
@@ -166,7 +133,7 @@ impl Reader<'_> {
 
     /// Records between two positions that are left out.
     fn gap(&mut self, at: u64, end: u64) {
-        self.messages.gap(self.chunk_at.unwrap_or(at), end - at);
+        self.messages.damage.gap(self.chunk_at.unwrap_or(at), end - at);
     }
 
     /// A record; of a chunk that is `cut` off or of a wrong length the first part.
@@ -176,13 +143,14 @@ impl Reader<'_> {
                 return self.chunk(header, data, at, cut);
             }
             Some(op::CONNECTION) => self.connection(header, data),
-            Some(op::CHUNK_INFO) => self.chunk_info(data),
             Some(op::MESSAGE) => {
-                let read = self.message(header, data);
-                self.orphans += u64::from(read.is_none());
-                return Ok(());
+                self.orphans += u64::from(self.message(header, data).is_none());
+                Some(())
             }
-            _ => Some(()),
+            code => {
+                self.is_closed |= code == Some(op::CHUNK_INFO);
+                Some(())
+            }
         };
         if read.is_none() {
             self.gap(at, at + 8 + (header.len() + data.len()) as u64);
@@ -203,19 +171,9 @@ impl Reader<'_> {
                 }
                 self.chunk_at = None;
             }
-            Err(reason) => self.messages.damaged_chunk(reason),
+            Err(reason) => self.messages.damage.add(format!("a chunk is left out: {reason}")),
         }
         Ok(())
-    }
-
-    /// Numbers of messages by connection.
-    fn chunk_info(&mut self, mut data: &[u8]) -> Option<()> {
-        while !data.is_empty() {
-            let id = u32::from_le_bytes(number(&mut data)?);
-            let count = u32::from_le_bytes(number(&mut data)?);
-            self.counts.entry(id).or_default().0 += u64::from(count);
-        }
-        Some(())
     }
 
     fn connection(&mut self, header: &[u8], data: &[u8]) -> Option<()> {
@@ -228,7 +186,7 @@ impl Reader<'_> {
             return Some(());
         }
         // One of both is damaged.
-        if self.messages.topics[first].kind.is_none() {
+        if self.messages.topics[first].layout.is_none() {
             self.topics.insert(id, index);
         }
         None
@@ -240,7 +198,6 @@ impl Reader<'_> {
         let seconds = i64::from(u32::from_le_bytes(number(&mut time)?));
         let ns = i64::from(u32::from_le_bytes(number(&mut time)?));
         let topic = *self.topics.get(&id)?;
-        self.counts.entry(id).or_default().1 += 1;
         self.messages.message(topic, seconds * 1_000_000_000 + ns, data);
         Some(())
     }
@@ -275,10 +232,8 @@ fn find(file: &mut dyn ReadSeek, mut at: u64, end: u64) -> io::Result<Option<u64
         fill(&mut *file, (end - at).min(4 * MAX_HEADER), &mut window)?;
         // A header that begins in the last part of the window is whole in the next one.
         let last = at + window.len() as u64 >= end;
-        let starts = match last {
-            true => window.len(),
-            false => window.len().saturating_sub(MAX_HEADER as usize + 4),
-        };
+        let margin = if last { 0 } else { MAX_HEADER as usize + 4 };
+        let starts = window.len().saturating_sub(margin);
         let begins = |start: &usize| {
             let header = sized(&mut &window[*start..]);
             header.is_some_and(|header| header.len() as u64 <= MAX_HEADER && is_header(header))

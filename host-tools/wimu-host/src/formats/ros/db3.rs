@@ -40,9 +40,9 @@ mod with_sqlite {
     use rusqlite::{Connection, OpenFlags};
 
     use super::super::Messages;
-    use super::super::message::Encoding;
     use super::*;
     use crate::Problem;
+    use crate::ros::message::Encoding;
 
     /// Hands the messages to the sink.
     pub(in crate::formats) fn read(
@@ -61,7 +61,7 @@ mod with_sqlite {
                 }
             };
             if let Err(error) = walk(&path, &mut messages) {
-                messages.damage.cut.push(format!("{}: {error}", file.name()));
+                messages.damage.add(format!("{}: {error}", file.name()));
             }
         }
         messages.finish()

@@ -7,10 +7,10 @@ use ::mcap::MAGIC;
 use ::mcap::records::op;
 
 use super::chunk;
-use super::message::Encoding;
 use super::{Messages, ReadOptions, Source};
 use crate::mcap_file::records::{Channel, Chunk, Message, each, fill, number, text};
 use crate::recording::Sink;
+use crate::ros::message::Encoding;
 use crate::{Problem, Result};
 
 /// Files of a bag that begin with `magic`, in the order of recording.
@@ -61,9 +61,9 @@ pub(in crate::formats) fn read(
         })?;
         let missing = reader.counted.saturating_sub(reader.read);
         let missing = missing.max(reader.orphans);
-        messages.missing(missing);
+        messages.damage.missing(missing);
         if let Some(at) = cut_at {
-            messages.cut(file.name(), at);
+            messages.damage.cut(file.name(), at);
         }
     }
     messages.finish()
@@ -138,10 +138,10 @@ impl Reader<'_, '_> {
             Ok(records) => {
                 let left = each(&records, |code, record| self.record(code, record));
                 if left > 0 {
-                    self.messages.gap(at, left as u64);
+                    self.messages.damage.gap(at, left as u64);
                 }
             }
-            Err(reason) => self.messages.damaged_chunk(reason),
+            Err(reason) => self.messages.damage.add(format!("a chunk is left out: {reason}")),
         }
     }
 

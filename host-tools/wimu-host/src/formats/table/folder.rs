@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use super::gravity::WithGravity;
-use super::{clock, is_text, names, quantity_of, read_table};
+use super::{is_text, names, quantity_of, read_table, times};
 use crate::formats::{ReadOptions, Source};
 use crate::recording::Sink;
 use crate::{Code, Problem, Result};
@@ -45,7 +44,6 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
     let is_uncalibrated = |member: &Source| names::key(&file_name(member)).contains("uncalibrated");
     let has_calibrated =
         tables.iter().any(|member| !is_uncalibrated(member) && quantity_of(member).is_some());
-    let mut sink = WithGravity::new(sink, false);
     let (mut read, mut refused) = (0, Vec::new());
     for member in &tables {
         let name = file_name(member);
@@ -54,7 +52,7 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
             sink.finding(Code::TrackChosen.note(text));
             continue;
         }
-        match read_table(member, options, &mut sink, Vec::new()) {
+        match read_table(member, options, sink, Vec::new()) {
             Ok(()) => read += 1,
             Err(error) => refused.push((name, error)),
         }
@@ -72,7 +70,6 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         let text = format!("`{name}` is not read: {}", error.text);
         sink.finding(Code::TrackChosen.note(text));
     }
-    sink.finish();
     Ok(())
 }
 
@@ -103,12 +100,12 @@ fn packets(source: &Source) -> Result<Option<(Source, Vec<i64>)>> {
             break;
         }
     }
-    let mut times = Vec::new();
+    let mut stamps = Vec::new();
     if let Some(file) = source.members().iter().find(is_times) {
         let mut lines = super::text::Lines::of(file)?;
         while let Some(line) = lines.next_line()? {
-            times.extend(clock::date(None, &line).map(|(time, _)| time));
+            stamps.extend(times::date(None, &line));
         }
     }
-    Ok(Some((Source::of_bytes(source.name(), bytes), times)))
+    Ok(Some((Source::of_bytes(source.name(), bytes), stamps)))
 }

@@ -2,10 +2,10 @@
 
 use std::borrow::Cow;
 
-use super::clock;
 use super::names::{self, Kind};
 use super::presets;
-use super::text::{Field, Lines, field, is_comment, split};
+use super::text::{Lines, field, is_comment, is_text, split};
+use super::times;
 use super::units;
 use crate::formats::Source;
 use crate::recording::Quantity;
@@ -100,7 +100,7 @@ fn table(
     let width = fields.len();
     let rows = &start[first..];
     let has_mark = |mark: char| {
-        let is_marked = |f: &Cow<str>| f.contains(mark) && field(f, mark == ',') != Field::Text;
+        let is_marked = |f: &Cow<str>| f.contains(mark) && !is_text(f, mark == ',');
         (rows.iter()).any(|line| split(line, separator).iter().any(is_marked))
     };
     let has_point = has_mark('.');
@@ -132,8 +132,7 @@ fn table(
     };
     let score = numbers(&start[first], separator);
     let Some((known, at, names)) = header else {
-        let is_text =
-            |f: &Cow<str>| field(f, true) == Field::Text && clock::date(None, f).is_none();
+        let is_text = |f: &Cow<str>| is_text(f, true) && times::date(None, f).is_none();
         let texts: Vec<bool> = fields.iter().map(is_text).collect();
         // Three numbers or more, and the same columns of text in each row.
         let alike = rows.iter().take(ROWS).all(|line| {
@@ -162,9 +161,9 @@ fn table(
 
 /// Whether each column of the rows only increases.
 fn increases(rows: &[String], table: &Table) -> Vec<bool> {
-    let number = |text: Option<&Cow<str>>| match field(text?, table.comma) {
-        Field::Number(value) => Some(value),
-        _ => clock::date(None, text?).map(|(ns, _)| ns as f64),
+    let number = |text: Option<&Cow<str>>| {
+        let number = field(text?, table.comma).filter(|value| value.is_finite());
+        number.or_else(|| times::date(None, text?).map(|ns| ns as f64))
     };
     let rows: Vec<_> = (rows.iter().map(|line| split(line, table.separator))).collect();
     let increases = |column: usize| {
@@ -192,8 +191,7 @@ fn numbers(line: &str, separator: char) -> usize {
     }
     let fields = split(line, separator);
     let filled = fields.iter().filter(|f| !f.is_empty());
-    let is_number =
-        |text: &&Cow<str>| field(text, true) != Field::Text || clock::date(None, text).is_some();
+    let is_number = |text: &&Cow<str>| !is_text(text, true) || times::date(None, text).is_some();
     let (filled, numbers) = (filled.clone().count(), filled.filter(is_number).count());
     if 2 * numbers > filled { numbers } else { 0 }
 }
@@ -213,10 +211,11 @@ fn known(names: &[String], quantity: Option<Quantity>) -> usize {
     meanings.filter(|kind| *kind != Kind::Other).count()
 }
 
-/// Prepends the names of groups of a line above, `IMU Acceleration;;;`, if the names are letters only.
+/// Prepends the names of groups of a line above, `IMU Acceleration;;;`, if the names are letters or units only.
 fn prepend_groups(names: &mut [String], line: &str, separator: char) {
     let above = split(line, separator);
-    if names.iter().any(|name| name.chars().count() > 1) || names_of(line, separator).len() < 2 {
+    let is_short = |name: &String| name.chars().count() < 2 || is_unit(name);
+    if !names.iter().all(is_short) || names_of(line, separator).len() < 2 {
         return;
     }
     let mut group = "";
@@ -225,34 +224,35 @@ fn prepend_groups(names: &mut [String], line: &str, separator: char) {
             Some(text) if !text.is_empty() => group = text,
             _ => {}
         }
-        *name = format!("{group} {name}").trim().to_owned();
+        // `Accelerometer [g]` above `X` is `Accelerometer X [g]`.
+        let (bare, unit) = names::split_unit(group);
+        let unit = unit.map(|unit| format!(" [{unit}]")).unwrap_or_default();
+        *name = format!("{bare} {name}{unit}").trim().to_owned();
     }
+}
+
+/// Whether a text is a unit, in brackets or not, of what a sensor measures.
+fn is_unit(text: &str) -> bool {
+    use Quantity::{AngularRate, MagneticField, SpecificForce, Temperature};
+    let bare = bare_unit(text);
+    let of = |quantity: Quantity| units::scale(quantity, bare).is_some();
+    units::time(bare).is_some()
+        || [SpecificForce, AngularRate, MagneticField, Temperature].into_iter().any(of)
+}
+
+fn bare_unit(text: &str) -> &str {
+    let within = |open, close| text.strip_prefix(open)?.strip_suffix(close);
+    within('(', ')').or_else(|| within('[', ']')).unwrap_or(text)
 }
 
 /// Appends the units of a line below the names, if it holds units only.
 fn append_units(names: &mut [String], line: &str, separator: char) {
     let found = split(line, separator);
-    let quantities = [
-        Quantity::SpecificForce,
-        Quantity::AngularRate,
-        Quantity::MagneticField,
-        Quantity::Temperature,
-    ];
-    let bare = |unit: &str| unit.trim_matches(['(', ')', '[', ']']).to_owned();
-    let is_unit = |unit: &str| {
-        unit.is_empty()
-            || units::time(&bare(unit)).is_some()
-            || (quantities.iter()).any(|q| units::scale(*q, &bare(unit)).is_some())
-    };
-    if found.len() != names.len()
-        || found.iter().all(|f| f.is_empty())
-        || !found.iter().all(|f| is_unit(f))
-    {
+    let are_units = found.iter().all(|f| f.is_empty() || is_unit(f));
+    if found.len() != names.len() || found.iter().all(|f| f.is_empty()) || !are_units {
         return;
     }
-    for (name, unit) in names.iter_mut().zip(found) {
-        if !unit.is_empty() {
-            *name = format!("{name} ({})", bare(&unit));
-        }
+    for (name, unit) in names.iter_mut().zip(found).filter(|(_, unit)| !unit.is_empty()) {
+        *name = format!("{name} ({})", bare_unit(&unit).replace(['(', ')'], ""));
     }
 }

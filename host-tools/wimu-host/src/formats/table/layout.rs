@@ -1,12 +1,12 @@
 //! Which columns make which track.
 
 use super::header::Table;
-use super::names::{self, Kind, Meaning};
+use super::names::{self, Certainty, Kind, Meaning};
 use super::presets::{self, Preset};
 use super::units::{self, Scale};
 use crate::formats::ReadOptions;
 use crate::recording::{Origin, Quantity};
-use crate::{Code, Result};
+use crate::{Code, Problem, Result};
 
 /// Columns of one track.
 #[derive(Clone, Debug)]
@@ -19,6 +19,8 @@ pub struct Group {
     pub columns: Vec<usize>,
     /// Unit of each, where it is known.
     pub scales: Vec<Option<Scale>>,
+    /// Whether that is what the program writes, and not what the header says.
+    pub is_implied: bool,
 }
 
 impl Group {
@@ -36,10 +38,10 @@ impl Group {
 /// Content of every column of a table.
 #[derive(Clone, Debug, Default)]
 pub struct Layout {
-    /// Column of the time, and its unit where it is known.
-    pub time: Option<(usize, Option<i32>)>,
-    /// Column of the fraction of a time of whole seconds, and the power of ten of a nanosecond of its unit.
-    pub fraction: Option<(usize, i32)>,
+    /// Column of the time, and the nanoseconds of its unit where it is known.
+    pub time: Option<(usize, Option<i64>)>,
+    /// Column of the fraction of a time of whole seconds, and the nanoseconds of its unit.
+    pub fraction: Option<(usize, i64)>,
     /// Column of the date of a time of day.
     pub date: Option<usize>,
     pub groups: Vec<Group>,
@@ -59,15 +61,16 @@ pub struct Layout {
 /// `csv_duplicate_column`, `csv_missing_column`, `csv_mixed_units`, `csv_unknown_unit`, `usage`.
 pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> Result<Layout> {
     let names = &table.names;
-    let mut meanings: Vec<Meaning> = match &options.columns {
-        Some(columns) => chosen(names, columns)?,
-        None => names.iter().map(|name| names::meaning(name, quantity)).collect(),
+    let (meanings, preset) = match &options.columns {
+        Some(columns) => (chosen(names, columns)?, None),
+        None => {
+            let meanings = names.iter().map(|name| names::meaning(name, quantity));
+            let mut meanings: Vec<Meaning> = meanings.collect();
+            prefer_certain(&mut meanings);
+            leave_out_repeated(names, &mut meanings)?;
+            (meanings, presets::of_header(names))
+        }
     };
-    if options.columns.is_none() {
-        prefer_ours(&mut meanings);
-        leave_out_repeated(names, &mut meanings)?;
-    }
-    let preset = presets::of_header(names).filter(|_| options.columns.is_none());
     let mut layout = Layout {
         program: table.taken_for.or(preset.map(|preset| preset.name)),
         ..Layout::default()
@@ -78,7 +81,7 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     }
     layout.fraction = layout.time.and_then(|(column, _)| fraction(names, column));
     if let (Some((column, None)), Some(_)) = (layout.time, layout.fraction) {
-        layout.time = Some((column, Some(9)));
+        layout.time = Some((column, Some(units::SECOND)));
     }
     let mut used = vec![false; names.len()];
     for (column, meaning) in meanings.iter().enumerate() {
@@ -94,61 +97,47 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
             _ => {}
         }
     }
-    if let Some(unit) = &options.units {
-        override_units(&mut layout, unit)?;
+    if let Some(given) = &options.units {
+        let [force, rate] = scales(given)?;
+        for group in &mut layout.groups {
+            let given = if group.is_acceleration() { force } else { rate };
+            if let Some(given) = given.filter(|_| group.is_inertial()) {
+                group.scales.fill(Some(given));
+                group.is_implied = false;
+            }
+        }
     }
-    if options.columns.is_none() {
-        layout.unknown_units = unknown_units(names, &layout, quantity)?;
-    }
-    let clock = [
-        layout.time.map(|(column, _)| column),
-        layout.fraction.map(|(column, _)| column),
-        layout.date,
-    ];
-    layout.others = (0..names.len()).filter(|k| !used[*k] && !clock.contains(&Some(*k))).collect();
-    Ok(layout)
-}
-
-/// Columns that by their name are of an inertial sensor, but for their unit.
-///
-/// # Errors
-/// `csv_unknown_unit` where that leaves no accelerometer.
-fn unknown_units(
-    names: &[String],
-    layout: &Layout,
-    of_file: Option<Quantity>,
-) -> Result<Vec<usize>> {
-    let quantity = |column: usize| {
-        let (bare, unit) = names::split_unit(&names[column]);
-        unit.filter(|unit| !unit.is_empty())?;
-        let with_unit = names::meaning(&names[column], of_file).kind;
-        let quantity = names::meaning(bare, of_file).kind.quantity();
-        quantity.filter(|_| with_unit == Kind::Other)
+    let quantity_of = |column: usize| {
+        meanings[column].kind.quantity().filter(|_| meanings[column].is_unit_unknown)
     };
-    let of = |wanted| (0..names.len()).filter(move |column| quantity(*column) == Some(wanted));
-    let force = of(Quantity::SpecificForce).next();
+    let of = |quantity| move |column: &usize| quantity_of(*column) == Some(quantity);
+    let force = (0..names.len()).find(of(Quantity::SpecificForce));
     if let Some(column) = force.filter(|_| !layout.groups.iter().any(Group::is_acceleration)) {
         let remedy =
             "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"";
         let error = Code::CsvUnknownUnit.error("its unit is unknown", remedy);
         return Err(error.at(&names[column]));
     }
-    let mut found: Vec<usize> = of(Quantity::SpecificForce).collect();
-    found.extend(of(Quantity::AngularRate));
-    found.sort_unstable();
-    Ok(found)
+    let is_inertial =
+        |column: &usize| of(Quantity::SpecificForce)(column) || of(Quantity::AngularRate)(column);
+    layout.unknown_units = (0..names.len()).filter(is_inertial).collect();
+    let time = layout.time.map(|(column, _)| column);
+    let clock = [time, layout.fraction.map(|(column, _)| column), layout.date];
+    layout.others = (0..names.len()).filter(|k| !used[*k] && !clock.contains(&Some(*k))).collect();
+    Ok(layout)
 }
 
-/// Where a quantity has columns with wimu's names, other names are not of it.
-fn prefer_ours(meanings: &mut [Meaning]) {
+/// Of the names of a quantity the most certain ones count.
+fn prefer_certain(meanings: &mut [Meaning]) {
     let track = |meaning: &Meaning| match meaning.kind {
         Kind::Component { quantity, origin, .. } => Some((quantity, origin)),
         _ => None,
     };
-    let ours = meanings.iter().filter(|meaning| meaning.is_ours);
-    let ours: Vec<_> = ours.filter_map(track).collect();
+    let all = meanings.to_vec();
     for meaning in meanings {
-        if !meaning.is_ours && track(meaning).is_some_and(|of| ours.contains(&of)) {
+        let alike = all.iter().filter(|other| track(other) == track(meaning));
+        let best = alike.map(|other| other.certainty).min();
+        if track(meaning).is_some() && best.is_some_and(|best| best < meaning.certainty) {
             meaning.kind = Kind::Other;
         }
     }
@@ -157,23 +146,20 @@ fn prefer_ours(meanings: &mut [Meaning]) {
 /// Of two columns with one meaning the first counts.
 fn leave_out_repeated(names: &[String], meanings: &mut [Meaning]) -> Result<()> {
     for column in 1..names.len() {
-        let Some(first) = (0..column).find(|first| meanings[*first].kind == meanings[column].kind)
-        else {
+        let kind = meanings[column].kind;
+        let is_same =
+            |other: &usize| meanings[*other].kind == kind && !meanings[*other].is_unit_unknown;
+        let first = (0..column).find(is_same).filter(|_| is_same(&column));
+        let Some(first) = first.filter(|_| !matches!(kind, Kind::Other | Kind::Time)) else {
             continue;
         };
-        let bare = |column: usize| names::split_unit(&names[column]).0;
-        match meanings[column].kind {
-            Kind::Other | Kind::Time => {}
-            _ if bare(first).eq_ignore_ascii_case(bare(column)) => {
-                return Err(Code::CsvDuplicateColumn
-                    .error(
-                        format!("the column `{}` occurs twice", bare(column)),
-                        "rename or remove one",
-                    )
-                    .at(&names[column]));
-            }
-            _ => meanings[column].kind = Kind::Other,
+        let [bare, other] = [column, first].map(|column| names::split_unit(&names[column]).0);
+        if bare.eq_ignore_ascii_case(other) {
+            return Err(Code::CsvDuplicateColumn
+                .error(format!("the column `{bare}` occurs twice"), "rename or remove one")
+                .at(&names[column]));
         }
+        meanings[column].kind = Kind::Other;
     }
     Ok(())
 }
@@ -184,45 +170,44 @@ fn choose_time(
     preset: Option<&Preset>,
     layout: &mut Layout,
 ) {
-    let key = |column: usize| names::key(names::split_unit(&names[column]).0);
-    let of_preset = preset.and_then(|preset| preset.time).and_then(|(name, exponent)| {
-        let column = (0..names.len()).find(|column| key(*column) == name)?;
-        Some((column, exponent))
+    let key = |column: &usize| names::key(names::split_unit(&names[*column]).0);
+    let of_preset = preset.and_then(|preset| preset.time).and_then(|(name, unit_ns)| {
+        let column = (0..names.len()).find(|column| key(column) == name)?;
+        Some((column, unit_ns))
     });
     let times = || (0..names.len()).filter(|column| meanings[*column].kind == Kind::Time);
-    let named = times().find(|column| meanings[*column].exponent.is_some());
-    let column = named.or_else(|| times().next());
-    layout.time = of_preset.or_else(|| column.map(|column| (column, meanings[column].exponent)));
-    layout.date =
-        (0..names.len()).find(|column| ["date", "rtcdate"].contains(&key(*column).as_str()));
+    let time = |column: usize| (column, meanings[column].unit_ns);
+    let named = times().find(|column| meanings[*column].unit_ns.is_some());
+    layout.time = of_preset.or_else(|| named.or_else(|| times().next()).map(time));
+    layout.date = (0..names.len()).find(|k| matches!(key(k).as_str(), "date" | "rtcdate"));
     // `Datum` alone has both.
-    let day = times().find(|column| key(*column) == "datum");
-    if let Some((day, time)) = day.zip(times().find(|column| key(*column) != "datum")) {
-        (layout.date, layout.time) = (Some(day), Some((time, meanings[time].exponent)));
+    let (day, clock): (Vec<usize>, Vec<usize>) = times().partition(|column| key(column) == "datum");
+    if let ([day, ..], [clock, ..]) = (&day[..], &clock[..]) {
+        (layout.date, layout.time) = (Some(*day), Some(time(*clock)));
     }
 }
 
 /// The column of a fraction beside one of seconds: `stamp.nsec` beside `stamp.sec`.
-fn fraction(names: &[String], seconds: usize) -> Option<(usize, i32)> {
-    const ENDS: [(i32, &[&str]); 3] = [
-        (0, &["nanosecs", "nanosec", "nsecs", "nsec", "nanoseconds"]),
-        (3, &["microsecs", "microsec", "usecs", "usec", "microseconds"]),
-        (6, &["millisecs", "millisec", "msecs", "msec", "milliseconds"]),
+fn fraction(names: &[String], seconds: usize) -> Option<(usize, i64)> {
+    const ENDS: [(i64, &[&str]); 3] = [
+        (1, &["nanosecs", "nanosec", "nsecs", "nsec", "nanoseconds"]),
+        (units::MICROSECOND, &["microsecs", "microsec", "usecs", "usec", "microseconds"]),
+        (units::MILLISECOND, &["millisecs", "millisec", "msecs", "msec", "milliseconds"]),
     ];
     let stem = |name: &str, ends: &[&str]| {
         let key = names::key(names::split_unit(name).0);
         ends.iter().find_map(|end| key.strip_suffix(end).map(str::to_owned))
     };
     let of = stem(&names[seconds], &["secs", "sec", "seconds"])?;
-    ENDS.into_iter().find_map(|(exponent, ends)| {
+    ENDS.into_iter().find_map(|(unit_ns, ends)| {
         let is_part = |name: &String| stem(name, ends).is_some_and(|stem| stem == of);
-        Some((names.iter().position(is_part)?, exponent))
+        Some((names.iter().position(is_part)?, unit_ns))
     })
 }
 
 /// An increasing column whose name is a unit of time, or else has the word `time`. Of several units, such as seconds and
 /// microseconds, each is only a part of the time.
-fn less_certain_time(table: &Table, meanings: &[Meaning]) -> Option<(usize, Option<i32>)> {
+fn less_certain_time(table: &Table, meanings: &[Meaning]) -> Option<(usize, Option<i64>)> {
     let of = |says: fn(&str) -> bool| {
         let is_free = move |k: &usize| meanings[*k].kind == Kind::Other && says(&table.names[*k]);
         (0..table.names.len()).filter(is_free)
@@ -242,34 +227,34 @@ fn group(
     preset: Option<&Preset>,
 ) -> Result<Option<Group>> {
     let (quantity, origin, sensor) = of;
-    let width = quantity.width();
-    let find = |wanted: usize| {
-        let kind = Kind::Component { quantity, origin, sensor, component: wanted };
-        meanings.iter().position(|meaning| meaning.kind == kind)
+    let find = |component: usize| {
+        let kind = Kind::Component { quantity, origin, sensor, component };
+        meanings.iter().position(|meaning| meaning.kind == kind && !meaning.is_unit_unknown)
     };
-    let columns: Vec<usize> = (0..width).filter_map(find).collect();
-    if columns.len() < width {
-        let ours =
-            columns.first().filter(|column| meanings[**column].is_ours && quantity.width() == 3);
-        return match (ours, (0..width).find(|k| find(*k).is_none())) {
-            (Some(column), Some(missing)) => Err(Code::CsvMissingColumn
-                .error(
-                    format!("`{}` is there, and its axis {} is not", names[*column], ["X", "Y", "Z"][missing]),
-                    "all three axes are needed: add it, or rename the others if they are something else",
-                )
-                .at(&names[*column])),
-            _ => Ok(None),
+    let found: Vec<Option<usize>> = (0..quantity.width()).map(find).collect();
+    let columns: Vec<usize> = found.iter().flatten().copied().collect();
+    if let Some(missing) = found.iter().position(Option::is_none) {
+        let is_own = |column: &&usize| meanings[**column].certainty == Certainty::Own;
+        let Some(column) = columns.first().filter(is_own).filter(|_| quantity.width() == 3) else {
+            return Ok(None);
         };
+        let axis = ["X", "Y", "Z"][missing];
+        return Err(Code::CsvMissingColumn
+            .error(
+                format!("`{}` is there, and its axis {axis} is not", names[*column]),
+                "all three axes are needed: add it, or rename the others if they are something else",
+            )
+            .at(&names[*column]));
     }
-    let implied = preset.and_then(|preset| preset.units.iter().find(|(q, _)| *q == quantity));
     let implied = match quantity {
         Quantity::Attitude => Some(Scale::Si(1.0)),
         Quantity::Position | Quantity::Velocity | Quantity::Temperature => None,
-        _ => implied.and_then(|(_, unit)| units::scale(quantity, unit)),
+        _ => preset.and_then(|preset| preset.scale(quantity)),
     };
-    let scales: Vec<_> = columns.iter().map(|column| meanings[*column].scale.or(implied)).collect();
+    let named: Vec<_> = columns.iter().map(|column| meanings[*column].scale).collect();
+    let scales: Vec<_> = named.iter().map(|scale| scale.or(implied)).collect();
     let kind = |scale: &Option<Scale>| scale.map(|scale| std::mem::discriminant(&scale));
-    if let Some(k) = (1..width).find(|k| kind(&scales[*k]) != kind(&scales[0])) {
+    if let Some(k) = (1..scales.len()).find(|k| kind(&scales[*k]) != kind(&scales[0])) {
         return Err(Code::CsvMixedUnits
             .error(
                 format!("its unit differs from that of `{}`", names[columns[0]]),
@@ -282,6 +267,7 @@ fn group(
         quantity,
         origin,
         sensor,
+        is_implied: implied.is_some() && named.iter().all(Option::is_none),
         columns,
         scales,
     }))
@@ -305,19 +291,6 @@ fn common_name(names: &[String], columns: &[usize], quantity: Quantity) -> Strin
         1 | 2 => columns.iter().map(bare).collect::<Vec<_>>().join(", "),
         _ => name.to_owned(),
     }
-}
-
-/// Sets the units of the accelerations and of the angular rates.
-fn override_units(layout: &mut Layout, units: &str) -> Result<()> {
-    let [force, rate] = scales(units)?;
-    for group in &mut layout.groups {
-        match (group.quantity, force, rate) {
-            (Quantity::AngularRate, _, Some(rate)) => group.scales.fill(Some(rate)),
-            (_, Some(force), _) if group.is_acceleration() => group.scales.fill(Some(force)),
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 /// The units of `g,deg/s`: of acceleration, of angular rate; either may be alone.
@@ -354,20 +327,23 @@ pub fn si_of(units: &str) -> Result<[f64; 2]> {
     Ok([factor(force)?, factor(rate)?])
 }
 
+/// Wrong use of `--columns`.
+fn columns_usage(message: String) -> Problem {
+    Code::Usage.error(
+        message,
+        "write for example --columns \"t=timestamp:ns,x=ax:g,y=ay:g,z=az:g,gx=4:deg/s\"; a column is its name, or its number from 1",
+    )
+}
+
 /// Meaning of the columns by [`ReadOptions::columns`].
 fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
-    let usage = |message: String| {
-        Code::Usage.error(
-            message,
-            "write for example --columns \"t=timestamp:ns,x=ax:g,y=ay:g,z=az:g,gx=4:deg/s\"; a column is its name, or its number from 1",
-        )
-    };
-    let mut meanings = vec![Meaning::of(Kind::Other); names.len()];
+    let mut meanings = vec![Meaning::OTHER; names.len()];
     for part in columns.split(',') {
-        let (role, column) =
-            part.split_once('=').ok_or_else(|| usage(format!("`{part}` is not ROLE=COLUMN")))?;
+        let (role, column) = part
+            .split_once('=')
+            .ok_or_else(|| columns_usage(format!("`{part}` is not ROLE=COLUMN")))?;
         let kind = role_of(role.trim()).ok_or_else(|| {
-            usage(format!("`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"))
+            columns_usage(format!("`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"))
         })?;
         let column = column.trim();
         let (name, unit) = match column.rsplit_once(':') {
@@ -386,18 +362,13 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
         // A unit in the header is the default.
         let mut meaning = names::meaning(&names[index], None);
         if std::mem::discriminant(&meaning.kind) != std::mem::discriminant(&kind) {
-            (meaning.exponent, meaning.scale) = (None, None);
+            meaning = Meaning::OTHER;
         }
-        meaning.kind = kind;
-        meaning.is_ours = true;
-        if let Some(unit) = unit {
-            match kind {
-                Kind::Component { quantity, .. } => meaning.scale = units::scale(quantity, unit),
-                _ => meaning.exponent = units::time(unit),
-            }
-            if meaning.scale.is_none() && meaning.exponent.is_none() {
-                return Err(usage(format!("the unit `{unit}` of `{role}` is not known")));
-            }
+        (meaning.kind, meaning.certainty) = (kind, Certainty::Own);
+        meaning.is_unit_unknown = false;
+        if unit.is_some_and(|unit| !meaning.take_unit(unit)) {
+            let unit = unit.unwrap_or_default();
+            return Err(columns_usage(format!("the unit `{unit}` of `{role}` is not known")));
         }
         meanings[index] = meaning;
     }
@@ -413,20 +384,14 @@ pub fn find_column(names: &[String], name: &str) -> Option<usize> {
 }
 
 fn role_of(role: &str) -> Option<Kind> {
-    let component = |quantity, component| Kind::Component {
-        quantity,
-        origin: Origin::Sensor,
-        sensor: 0,
-        component,
+    let (quantity, axis) = match role {
+        "t" => return Some(Kind::Time),
+        "temp" => (Quantity::Temperature, "x"),
+        "x" | "y" | "z" => (Quantity::SpecificForce, role),
+        "gx" | "gy" | "gz" => (Quantity::AngularRate, &role[1..]),
+        "mx" | "my" | "mz" => (Quantity::MagneticField, &role[1..]),
+        _ => return None,
     };
-    let axis = |text: &str| "xyz".find(text).filter(|_| text.len() == 1);
-    match role {
-        "t" => Some(Kind::Time),
-        "temp" => Some(component(Quantity::Temperature, 0)),
-        _ => match (role.strip_prefix('g'), role.strip_prefix('m')) {
-            (Some(rest), _) => axis(rest).map(|k| component(Quantity::AngularRate, k)),
-            (_, Some(rest)) => axis(rest).map(|k| component(Quantity::MagneticField, k)),
-            _ => axis(role).map(|k| component(Quantity::SpecificForce, k)),
-        },
-    }
+    let component = "xyz".find(axis)?;
+    Some(Kind::Component { quantity, origin: Origin::Sensor, sensor: 0, component })
 }

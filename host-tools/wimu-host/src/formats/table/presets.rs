@@ -1,6 +1,7 @@
 //! Tables of known programs: what their headers leave out.
 
 use super::names;
+use super::units::{self, Scale};
 use crate::recording::Quantity::{self, *};
 
 /// A program's table.
@@ -11,15 +12,30 @@ pub struct Preset {
     /// Columns that only it has, as [`names::key`] of the name without unit.
     columns: &'static [&'static str],
     /// Units of quantities whose columns do not name one.
-    pub units: &'static [(Quantity, &'static str)],
-    /// Its time column, and the power of ten of a nanosecond.
-    pub time: Option<(&'static str, Option<i32>)>,
+    units: &'static [(Quantity, &'static str)],
+    /// Its time column, and the nanoseconds of its unit.
+    pub time: Option<(&'static str, Option<i64>)>,
 }
 
-macro_rules! presets {
-    ($($name:literal, $columns:expr, $units:expr, $time:expr;)+) => {
-        &[$(Preset { name: $name, columns: &$columns, units: $units, time: $time }),+]
-    };
+impl Preset {
+    const fn new(
+        name: &'static str,
+        columns: &'static [&'static str],
+        units: &'static [(Quantity, &'static str)],
+    ) -> Self {
+        Self { name, columns, units, time: None }
+    }
+
+    const fn timed(mut self, column: &'static str, unit_ns: Option<i64>) -> Self {
+        self.time = Some((column, unit_ns));
+        self
+    }
+
+    /// Unit of a quantity.
+    pub fn scale(&self, quantity: Quantity) -> Option<Scale> {
+        let (_, unit) = self.units.iter().find(|(of, _)| *of == quantity)?;
+        units::scale(quantity, unit)
+    }
 }
 
 type Units = &'static [(Quantity, &'static str)];
@@ -43,22 +59,31 @@ const TOOLBOX: Units = &[
 /// Counts of a sensor of ±16 g and 16 bits.
 const BLACKBOX: Units = &[(SpecificForce, "g/2048"), (AngularRate, "deg/s")];
 const WIT: Units = &[(SpecificForce, "g"), (AngularRate, "deg/s"), (MagneticField, "au")];
+const MAVLINK: Units = &[(SpecificForce, "mg"), (AngularRate, "mrad/s"), (MagneticField, "mgauss")];
+
+pub const SENSOR_LOGGER: &str = "Sensor Logger";
+pub const XSENS_DOT: &str = "Xsens DOT";
+pub const OXTS: &str = "KITTI oxts";
 
 /// `ROS Imu` are tables of `ros2 topic echo --csv` and tables made from bags.
-#[rustfmt::skip]
-const PRESETS: &[Preset] = presets![
-    "EuRoC", ["arssx", "wrssx"], SI, None;
-    "rostopic echo -p", ["fieldlinearaccelerationx"], SI, Some(("fieldheaderstamp", Some(0)));
-    "ROS Imu", ["angularvelocityx", "linearaccelerationx"], SI, None;
-    "Sensor Logger", ["secondselapsed"], PHONE, Some(("secondselapsed", Some(9)));
-    "OpenLog Artemis", ["rtcdate", "ax"], ARTEMIS, Some(("rtctime", None));
-    "OpenLog Artemis", ["outputhz", "ax"], ARTEMIS, None;
-    "Physics Toolbox", ["gfx"], TOOLBOX, None;
-    "WitMotion", ["chiptime"], WIT, Some(("chiptime", None));
-    "Xsens MT Manager", ["packetcounter", "accx"], XSENS, None;
-    "blackbox_decode", ["loopiteration", "accsmooth0"], BLACKBOX, None;
-    "ulog2csv", ["timestampsample", "deviceid"], SI, Some(("timestamp", Some(3)));
-    "MATLAB Mobile", ["timestamp", "x", "y", "z"], PHONE, None;
+const PRESETS: &[Preset] = &[
+    Preset::new("EuRoC", &["arssx", "wrssx"], SI),
+    Preset::new("rostopic echo -p", &["fieldlinearaccelerationx"], SI)
+        .timed("fieldheaderstamp", Some(1)),
+    Preset::new("ROS Imu", &["angularvelocityx", "linearaccelerationx"], SI),
+    Preset::new(SENSOR_LOGGER, &["secondselapsed"], PHONE)
+        .timed("secondselapsed", Some(units::SECOND)),
+    Preset::new("OpenLog Artemis", &["rtcdate", "ax"], ARTEMIS).timed("rtctime", None),
+    Preset::new("OpenLog Artemis", &["outputhz", "ax"], ARTEMIS),
+    Preset::new("Physics Toolbox", &["gfx"], TOOLBOX),
+    Preset::new("WitMotion", &["chiptime"], WIT).timed("chiptime", None),
+    Preset::new("Xsens MT Manager", &["packetcounter", "accx"], XSENS),
+    Preset::new("blackbox_decode", &["loopiteration", "accsmooth0"], BLACKBOX),
+    Preset::new("ulog2csv", &["timestampsample", "deviceid"], SI)
+        .timed("timestamp", Some(units::MICROSECOND)),
+    Preset::new("MATLAB Mobile", &["timestamp", "x", "y", "z"], PHONE),
+    Preset::new("MAVLink RAW_IMU", &["xacc", "xgyro"], MAVLINK),
+    Preset::new("MAVLink RAW_IMU", &["rawimuxacc", "rawimuxgyro"], MAVLINK),
 ];
 
 /// The preset of a header.
@@ -70,7 +95,7 @@ pub fn of_header(header: &[String]) -> Option<&'static Preset> {
 }
 
 /// Columns of KITTI's oxts packets, in their order.
-const OXTS: &str = "lat,lon,alt,roll,pitch,yaw,vn,ve,vf,vl,vu,ax (m/s2),ay (m/s2),az (m/s2),af,al,au,wx (rad/s),wy (rad/s),\
+const PACKET: &str = "lat,lon,alt,roll,pitch,yaw,vn,ve,vf,vl,vu,ax (m/s2),ay (m/s2),az (m/s2),af,al,au,wx (rad/s),wy (rad/s),\
                     wz (rad/s),wf,wl,wu,pos_accuracy,vel_accuracy,navstat,numsats,posmode,velmode,orimode";
 
 /// Columns of `ros2 topic echo --csv` of a sensor_msgs/Imu, to the specific force: stamp, frame, attitude, angular rate, each
@@ -95,7 +120,7 @@ pub fn without_header(increases: &[bool], texts: &[bool]) -> Option<(Vec<String>
         return Some((names.take(width).collect(), program));
     }
     let (names, program) = match width {
-        30 => (OXTS, "KITTI oxts"),
+        30 => (PACKET, OXTS),
         3 | 6 | 9 => ("ax,ay,az,gx,gy,gz,mx,my,mz", "Arduino without header"),
         _ if timed => ("time,ax,ay,az,gx,gy,gz,mx,my,mz", "Arduino without header"),
         _ => return None,

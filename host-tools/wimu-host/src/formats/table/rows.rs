@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 
 use super::header::{Table, splits_decimals};
-use super::layout::{Group, Layout};
-use super::text::{Field, Lines, field, is_comment, split};
+use super::layout::{Group, Layout, find_column};
+use super::text::{Lines, field, is_comment, split};
 use crate::formats::Source;
 use crate::{Code, Problem, Result};
 
@@ -19,11 +19,14 @@ pub enum Fault {
     NoTime,
 }
 
+/// Columns and the values that rows must have there.
+pub type Filter = [(usize, String)];
+
 /// Rows so far, and those that are unusable.
 #[derive(Clone, Debug, Default)]
 pub struct Count {
     pub rows: u64,
-    faults: [u64; 3],
+    unusable: u64,
     /// Line and fault of the first unusable row.
     first: Option<(u64, Fault)>,
     /// Whether the last line is unusable and has no end.
@@ -35,21 +38,13 @@ impl Count {
         self.rows += 1;
         self.is_cut = fault.is_some() && !lines.is_ended;
         if let Some(fault) = fault {
-            self.faults[match fault {
-                Fault::FieldCount(_) => 0,
-                Fault::NoNumber => 1,
-                Fault::NoTime => 2,
-            }] += 1;
+            self.unusable += 1;
             self.first.get_or_insert((lines.number, fault));
         }
     }
 
-    fn unusable(&self) -> u64 {
-        self.faults.iter().sum()
-    }
-
     fn is_hopeless(&self) -> bool {
-        self.rows >= EARLY && 2 * self.unusable() > self.rows
+        self.rows >= EARLY && 2 * self.unusable > self.rows
     }
 
     /// Refuses a table without rows, or most of whose rows are unusable.
@@ -57,39 +52,37 @@ impl Count {
     /// # Errors
     /// `no_rows`, `bad_recording`.
     pub fn check(&self, name: &str, table: &Table) -> Result<()> {
-        if self.rows == 0 {
+        let (unusable, rows) = (self.unusable, self.rows);
+        if rows == 0 {
             let error = Code::NoRows.error(
                 "there are no rows below the header, or none passes the filter",
                 "check the file and --where",
             );
             return Err(error.at(name));
         }
-        match self.first {
-            Some((line, fault)) if 2 * self.unusable() > self.rows => {
-                let (unusable, rows) = (self.unusable(), self.rows);
-                let rows = match self.is_hopeless() {
-                    true => format!(
-                        "{unusable} of the first {rows} rows are unusable (reading stopped there)"
-                    ),
-                    false => format!("{unusable} of {rows} rows are unusable"),
-                };
-                let is_split = matches!(fault, Fault::FieldCount(fields)
-                    if table.separator == ',' && splits_decimals(fields, table.names.len()));
-                let (cause, remedy) = match is_split {
-                    true => (
-                        "; decimal commas between commas are likely",
-                        "export with semicolons as separators, or with decimal points",
-                    ),
-                    false => (
-                        "",
-                        "check the header and the separators, or name the columns: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
-                    ),
-                };
-                let text = format!("{rows}; first: {}{cause}", text_of(fault, table));
-                Err(Code::BadRecording.error(text, remedy).at(format!("{name} line {line}")))
-            }
-            _ => Ok(()),
-        }
+        let Some((line, fault)) = self.first.filter(|_| 2 * unusable > rows) else {
+            return Ok(());
+        };
+        let counts = if self.is_hopeless() {
+            format!("{unusable} of the first {rows} rows are unusable (reading stopped there)")
+        } else {
+            format!("{unusable} of {rows} rows are unusable")
+        };
+        let is_split = matches!(fault, Fault::FieldCount(fields)
+            if table.separator == ',' && splits_decimals(fields, table.names.len()));
+        let (cause, remedy) = if is_split {
+            (
+                "; decimal commas between commas are likely",
+                "export with semicolons as separators, or with decimal points",
+            )
+        } else {
+            (
+                "",
+                "check the header and the separators, or name the columns: --columns \"t=1:s,x=2:g,y=3:g,z=4:g\"",
+            )
+        };
+        let text = format!("{counts}; first: {}{cause}", text_of(fault, table));
+        Err(Code::BadRecording.error(text, remedy).at(format!("{name} line {line}")))
     }
 
     /// Findings on unusable rows.
@@ -98,17 +91,14 @@ impl Count {
             return Vec::new();
         };
         let mut findings = Vec::new();
-        if self.unusable() > u64::from(self.is_cut) {
-            let [width, number, time] = self.faults;
-            let evidence = format!(
-                "{} of {} rows are unusable (number of fields {width}, not a number {number}, no time {time}), first in line \
-                 {line}: {}",
-                self.unusable(),
+        if self.unusable > u64::from(self.is_cut) {
+            let text = format!(
+                "{} of {} rows are unusable, first in line {line}: {}",
+                self.unusable,
                 self.rows,
                 text_of(fault, table)
             );
-            let finding = Code::RowsMasked.warning(evidence).remedy("they are left out");
-            findings.push(finding);
+            findings.push(Code::RowsMasked.warning(text).remedy("they are left out"));
         }
         if self.is_cut {
             let (evidence, remedy) = ("the last line is incomplete", "it is left out");
@@ -128,27 +118,22 @@ fn text_of(fault: Fault, table: &Table) -> String {
     }
 }
 
-/// What to do after a row.
-pub enum Next {
-    /// It is counted, with its fault.
-    Count(Option<Fault>),
-    /// It does not pass the filter.
-    Skip,
-    Stop,
-}
-
-/// Calls `each` with the fields of each row and the fault of their number, until it stops or the table is hopeless.
+/// Calls `each` with the fields of each row that passes the filter and the fault of their number, and counts the fault that it
+/// returns, for at most `most` rows or until the table is hopeless.
 ///
 /// # Errors
 /// `file_failed`.
 pub fn each_row(
     source: &Source,
     table: &Table,
-    mut each: impl FnMut(&[Cow<str>], Option<Fault>) -> Next,
+    filter: &Filter,
+    most: u64,
+    mut each: impl FnMut(&[Cow<str>], Option<Fault>) -> Option<Fault>,
 ) -> Result<Count> {
     let mut lines = Lines::of(source)?;
     let mut count = Count::default();
-    while !count.is_hopeless() {
+    let width = table.names.len();
+    while !count.is_hopeless() && count.rows < most {
         let number = lines.number + 1;
         let Some(line) = lines.next_line()? else {
             break;
@@ -157,52 +142,39 @@ pub fn each_row(
             continue;
         }
         let fields = split(&line, table.separator);
-        let width = table.names.len();
+        if !passes(filter, &fields) {
+            continue;
+        }
         let beyond = fields.iter().skip(width).any(|field| !field.is_empty());
         let fault = (fields.len() < width || beyond).then_some(Fault::FieldCount(fields.len()));
-        let next = each(&fields, fault);
+        let fault = each(&fields, fault);
         drop(fields);
         drop(line);
-        match next {
-            Next::Count(fault) => count.add(fault, &lines),
-            Next::Skip => {}
-            Next::Stop => break,
-        }
+        count.add(fault, &lines);
     }
     Ok(count)
 }
 
-/// Values of a track in a row.
-pub enum Values {
-    /// All fields are empty.
-    Empty,
-    /// With NaN for an empty field.
-    Some([f64; 4]),
-    /// A field is not a number.
-    Text,
-}
-
-/// The values of `group` in a row, in the units of the file.
-pub fn values(group: &Group, fields: &[Cow<str>], comma: bool) -> Values {
+/// The values of `group` in a row, in the units of the file, not a number where a field is empty; `None` where all are.
+///
+/// # Errors
+/// A field is not a number.
+pub fn values(group: &Group, fields: &[Cow<str>], comma: bool) -> Result<Option<[f64; 4]>, Fault> {
     let mut row = [f64::NAN; 4];
-    let mut empty = true;
     for (value, column) in row.iter_mut().zip(&group.columns) {
-        match field(fields.get(*column).map_or("", |text| text), comma) {
-            Field::Empty => {}
-            Field::Number(number) => (*value, empty) = (number, false),
-            Field::Text => return Values::Text,
-        }
+        let text = fields.get(*column).map_or("", |text| text);
+        *value = field(text, comma).ok_or(Fault::NoNumber)?;
     }
-    if empty { Values::Empty } else { Values::Some(row) }
+    Ok(row.iter().any(|value| value.is_finite()).then_some(row))
 }
 
-/// Indices of columns and the values that rows must have there.
+/// Columns and values of a filter.
 ///
 /// # Errors
 /// `csv_missing_column`.
 pub fn filter(table: &Table, pairs: &[(String, String)]) -> Result<Vec<(usize, String)>> {
     let find = |(name, value): &(String, String)| {
-        let column = super::layout::find_column(&table.names, name).ok_or_else(|| {
+        let column = find_column(&table.names, name).ok_or_else(|| {
             Code::CsvMissingColumn.error(
                 format!("there is no column `{name}` to filter by"),
                 format!("choose from: {}", table.names.join(", ")),
@@ -214,7 +186,7 @@ pub fn filter(table: &Table, pairs: &[(String, String)]) -> Result<Vec<(usize, S
 }
 
 /// Whether a row passes the filter; numbers compare as numbers.
-pub fn passes(filter: &[(usize, String)], fields: &[Cow<str>]) -> bool {
+fn passes(filter: &Filter, fields: &[Cow<str>]) -> bool {
     filter.iter().all(|(column, value)| {
         fields.get(*column).is_some_and(|text| {
             text == value
@@ -226,5 +198,5 @@ pub fn passes(filter: &[(usize, String)], fields: &[Cow<str>]) -> bool {
 /// Whether an inertial track has text in the row.
 pub fn has_text(layout: &Layout, fields: &[Cow<str>], comma: bool) -> bool {
     let mut inertial = layout.groups.iter().filter(|group| group.is_inertial());
-    inertial.any(|group| matches!(values(group, fields, comma), Values::Text))
+    inertial.any(|group| values(group, fields, comma).is_err())
 }

@@ -3,13 +3,14 @@
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 
-use super::clock;
 use super::header::Table;
-use super::layout::Layout;
-use super::rows::{self, Count, Fault, Next, Values, each_row, values};
-use super::text::{Field, field};
+use super::layout::{Group, Layout};
+use super::rows::{self, Count, Fault, Filter, each_row, values};
+use super::text::field;
+use super::times;
 use crate::formats::Source;
 use crate::series::thin_out;
+use crate::stats::{median, norm};
 use crate::{Code, Result};
 
 /// Rows after which the survey ends.
@@ -18,6 +19,16 @@ const MAX_ROWS: u64 = 1 << 20;
 const MAX_SAMPLES: usize = 1 << 19;
 /// Different texts of a column that are kept.
 const MAX_TEXTS: usize = 65;
+/// Sensors that take turns in the rows, at most, and rows by which that is known.
+const MAX_SENSORS: usize = 16;
+const FIRST_ROWS: usize = 1000;
+/// Ratio of the steps between neighbours to those of one sensor, where the rows are of several sensors.
+const OTHER_SENSOR: f64 = 3.0;
+/// Columns whose contents identify a sensor or a run.
+const SENSORS: [&str; 6] = ["imu", "sensor", "device", "device name", "unit", "board"];
+const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
+/// Times that go back by which fractions without leading zeros are known, at least.
+const MIN_UNPADDED: u64 = 5;
 
 /// What a column holds.
 #[derive(Clone, Debug, Default)]
@@ -31,7 +42,7 @@ pub struct Column {
     /// The first two numbers.
     pub first: [Option<f64>; 2],
     /// Different contents, up to a number.
-    pub contents: BTreeSet<String>,
+    contents: BTreeSet<String>,
     last: String,
     /// Rows whose content is not that of the row before, and of them those whose time goes back.
     changes: u64,
@@ -40,7 +51,7 @@ pub struct Column {
 
 /// Numbers of the time column.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Times {
+pub struct Stamps {
     pub dates: u64,
     pub first: Option<f64>,
     pub last: f64,
@@ -67,76 +78,38 @@ pub struct Samples {
     pub empty: u64,
 }
 
-impl Samples {
-    fn add(&mut self, row: [f64; 3]) {
-        self.seen += 1;
-        if !self.seen.is_multiple_of(self.stride) || !row.iter().all(|value| value.is_finite()) {
-            return;
-        }
-        self.rows.push(row);
-        if self.rows.len() >= self.limit {
-            thin_out(&mut self.rows);
-            self.stride *= 2;
-        }
-    }
-}
-
 /// Result of the first pass.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Survey {
     pub count: Count,
     pub columns: Vec<Column>,
-    pub times: Times,
+    pub times: Stamps,
     /// Of the tracks of the layout, in their order; empty for those that are not inertial.
     pub samples: Vec<Samples>,
+    /// First rows of the first accelerometer.
+    first_rows: Vec<[f64; 3]>,
 }
-
-/// Columns whose contents identify a sensor or a run.
-const SENSORS: [&str; 6] = ["imu", "sensor", "device", "device name", "unit", "board"];
-const MAX_SENSORS: usize = 16;
-/// Times that go back by which fractions without leading zeros are known, at least.
-const MIN_UNPADDED: u64 = 5;
-const RUNS: [&str; 4] = ["run", "trial", "session", "recording"];
 
 /// Reads the table once.
 ///
 /// # Errors
 /// `file_failed`.
-pub fn survey(
-    source: &Source,
-    table: &Table,
-    layout: &Layout,
-    filter: &[(usize, String)],
-) -> Result<Survey> {
-    let inertial = layout.groups.iter().filter(|group| group.is_inertial());
-    let inertial = inertial.count();
-    let empty = Samples {
-        stride: 1,
-        limit: (MAX_SAMPLES / inertial.max(1)).max(1024),
-        ..Samples::default()
-    };
+pub fn survey(source: &Source, table: &Table, layout: &Layout, filter: &Filter) -> Result<Survey> {
+    let inertial = layout.groups.iter().filter(|group| group.is_inertial()).count();
+    let limit = (MAX_SAMPLES / inertial.max(1)).max(1024);
     let mut survey = Survey {
-        count: Count::default(),
         columns: vec![Column::default(); table.names.len()],
-        times: Times::default(),
-        samples: vec![empty; layout.groups.len()],
+        samples: vec![Samples { stride: 1, limit, ..Samples::default() }; layout.groups.len()],
+        ..Survey::default()
     };
     let is_name = |name: &String| is_one_of(name, &SENSORS) || is_one_of(name, &RUNS);
     let is_name: Vec<bool> = table.names.iter().map(is_name).collect();
-    let mut rows = 0;
-    survey.count = each_row(source, table, |fields, fault| {
-        if rows >= MAX_ROWS {
-            return Next::Stop;
-        }
-        if !rows::passes(filter, fields) {
-            return Next::Skip;
-        }
-        rows += 1;
+    survey.count = each_row(source, table, filter, MAX_ROWS, |fields, fault| {
         let fault = fault.or_else(|| survey.fault(table, layout, fields));
         if fault.is_none() {
             survey.add(table, layout, fields, &is_name);
         }
-        Next::Count(fault)
+        fault
     })?;
     Ok(survey)
 }
@@ -150,12 +123,14 @@ impl Survey {
     ///
     /// # Errors
     /// `usage`, which asks for `--where`.
-    pub fn one_source(&self, table: &Table, in_order: bool) -> Result<()> {
+    pub fn one_source(&self, table: &Table, layout: &Layout, in_order: bool) -> Result<()> {
         let (mut several, mut selected, mut refused) = (Vec::new(), Vec::new(), false);
         let restarts = in_order && self.times.restarts > 0;
-        for (name, column) in table.names.iter().zip(&self.columns) {
+        for index in &layout.others {
+            let (name, column) = (&table.names[*index], &self.columns[*index]);
             let (sensor, run) = (is_one_of(name, &SENSORS), is_one_of(name, &RUNS));
-            let sensor = sensor || self.is_cycle(column) || in_order && self.is_block(column);
+            let sensor =
+                sensor || self.is_cycle(column, in_order) || in_order && self.is_block(column);
             if !(sensor || run) || !(2..MAX_TEXTS).contains(&column.contents.len()) {
                 continue;
             }
@@ -164,14 +139,24 @@ impl Survey {
             several.push(format!("`{name}` is {}", contents.join(", ")));
             selected.push(format!("{name}={}", contents[0]));
         }
-        if !refused {
-            return Ok(());
-        }
-        let (several, selected) = (several.join("; "), selected.join(","));
-        Err(Code::Usage.error(
-            format!("the rows are of several sensors or runs: {several}"),
-            format!("select one with --where \"{selected}\", or remove the other rows"),
-        ))
+        let unnamed = (2..=MAX_SENSORS).find(|sensors| self.are_together(*sensors));
+        let (several, remedy) = match unnamed {
+            _ if refused => (
+                several.join("; "),
+                format!(
+                    "select one with --where \"{}\", or remove the other rows",
+                    selected.join(",")
+                ),
+            ),
+            Some(sensors) if in_order && self.take_turns(sensors) => (
+                format!("{sensors} rows have one time, and their values take turns"),
+                "add a column with the number of the sensor and select one with --where, or give each sensor its own columns"
+                    .to_owned(),
+            ),
+            _ => return Ok(()),
+        };
+        let text = format!("the rows are of several sensors or runs: {several}");
+        Err(Code::Usage.error(text, remedy))
     }
 
     /// Step of the times in the unit of their column: the first one, unless it is 0 or back, else the mean.
@@ -180,19 +165,34 @@ impl Survey {
             [Some(first), Some(second)] if second > first => Some(second - first),
             _ => None,
         };
-        let mean = self.times.mean_step()?;
+        let mean = (self.times.last - self.times.first?).abs() / self.times.steps as f64;
         // The mean is not that of neighbours where a counter wraps or a clock restarts.
-        let is_one = self.times.restarts == 0;
-        Some(first.filter(|_| !is_one).unwrap_or(mean))
+        let mean = Some(mean).filter(|_| self.times.steps > 0)?;
+        Some(first.filter(|_| self.times.restarts > 0).unwrap_or(mean))
     }
 
-    /// Whether a column cycles through N contents while times come N times.
-    fn is_cycle(&self, column: &Column) -> bool {
-        let (rows, sensors) = (self.times.steps as f64, column.contents.len() as f64);
-        let repeated = self.times.equal as f64 / rows.max(1.0);
-        (2..=MAX_SENSORS).contains(&column.contents.len())
-            && column.changes as f64 >= 0.9 * rows
-            && (repeated - (1.0 - 1.0 / sensors)).abs() < 0.1
+    /// Whether a column cycles through some contents, while times repeat for each of them or the values take turns.
+    fn is_cycle(&self, column: &Column, in_order: bool) -> bool {
+        let sensors = column.contents.len();
+        (2..=MAX_SENSORS).contains(&sensors)
+            && column.changes as f64 >= 0.9 * self.count.rows as f64
+            && (self.are_together(sensors) || in_order && self.take_turns(sensors))
+    }
+
+    /// Whether as many rows have one time.
+    fn are_together(&self, sensors: usize) -> bool {
+        let repeated = self.times.equal as f64 / self.times.steps.max(1) as f64;
+        (repeated - (1.0 - 1.0 / sensors as f64)).abs() < 0.1
+    }
+
+    /// Whether values differ more from those of the row before than from those of so many rows before.
+    fn take_turns(&self, sensors: usize) -> bool {
+        let step = |distance: usize| {
+            let pairs = self.first_rows.iter().zip(self.first_rows.iter().skip(distance));
+            median(pairs.map(|(a, b)| norm([a[0] - b[0], a[1] - b[1], a[2] - b[2]])))
+        };
+        let [Some(one), Some(all)] = [1, sensors].map(step) else { return false };
+        one > OTHER_SENSOR * all
     }
 
     /// Whether a column changes where the times start again, and only there.
@@ -208,28 +208,21 @@ impl Survey {
         }
         let (column, _) = layout.time?;
         let text = fields.get(column).map_or("", |text| text);
-        match field(text, table.comma) {
-            Field::Number(time) => self.times.add(time, text),
-            _ if clock::date(None, text).is_some() => self.times.dates += 1,
-            _ => return Some(Fault::NoTime),
+        match field(text, table.comma).filter(|time| time.is_finite()) {
+            Some(time) => self.times.add(time, text),
+            None if times::date(None, text).is_some() => self.times.dates += 1,
+            None => return Some(Fault::NoTime),
         }
         None
     }
 
     fn add(&mut self, table: &Table, layout: &Layout, fields: &[Cow<str>], is_name: &[bool]) {
         for ((column, text), is_name) in self.columns.iter_mut().zip(fields).zip(is_name) {
-            match field(text, table.comma) {
-                Field::Number(value) => {
-                    if let Some(first) = column.first.get_mut(column.numbers as usize) {
-                        *first = Some(value);
-                    }
-                    column.numbers += 1;
-                    column.is_fractional |= text.contains(['.', ',', 'e', 'E']);
-                    column.has_fraction |= value.fract() != 0.0;
-                }
-                Field::Text => column.texts += 1,
-                Field::Empty => continue,
+            let number = field(text, table.comma);
+            if number.is_some_and(f64::is_nan) {
+                continue;
             }
+            column.add(number, text);
             let most = if *is_name { MAX_TEXTS } else { MAX_SENSORS + 1 };
             if column.contents.len() < most && column.last != **text {
                 column.changes += 1;
@@ -241,18 +234,57 @@ impl Survey {
                 }
             }
         }
-        for (group, samples) in layout.groups.iter().zip(&mut self.samples) {
-            if group.is_inertial() {
-                match values(group, fields, table.comma) {
-                    Values::Some([x, y, z, _]) => samples.add([x, y, z]),
-                    _ => samples.empty += 1,
-                }
+        let first_force = layout.groups.iter().position(Group::is_acceleration);
+        for (k, (group, samples)) in layout.groups.iter().zip(&mut self.samples).enumerate() {
+            if !group.is_inertial() {
+                continue;
+            }
+            let Ok(Some([x, y, z, _])) = values(group, fields, table.comma) else {
+                samples.empty += 1;
+                continue;
+            };
+            if !samples.add([x, y, z]) {
+                continue;
+            }
+            if Some(k) == first_force && self.first_rows.len() < FIRST_ROWS {
+                self.first_rows.push([x, y, z]);
             }
         }
     }
 }
 
-impl Times {
+impl Column {
+    fn add(&mut self, number: Option<f64>, text: &str) {
+        let Some(value) = number else {
+            self.texts += 1;
+            return;
+        };
+        if let Some(first) = self.first.get_mut(self.numbers as usize) {
+            *first = Some(value);
+        }
+        self.numbers += 1;
+        self.is_fractional |= text.contains(['.', ',', 'e', 'E']);
+        self.has_fraction |= value.fract() != 0.0;
+    }
+}
+
+impl Samples {
+    /// Keeps a row, unless it is not finite or dropped.
+    fn add(&mut self, row: [f64; 3]) -> bool {
+        self.seen += 1;
+        if !self.seen.is_multiple_of(self.stride) || !row.iter().all(|value| value.is_finite()) {
+            return false;
+        }
+        self.rows.push(row);
+        if self.rows.len() >= self.limit {
+            thin_out(&mut self.rows);
+            self.stride *= 2;
+        }
+        true
+    }
+}
+
+impl Stamps {
     fn add(&mut self, time: f64, text: &str) {
         let fraction = text.split_once('.').map_or("0", |(_, fraction)| fraction);
         if fraction.len() > self.digits {
@@ -277,11 +309,5 @@ impl Times {
         let is_better =
             10 * self.padded_restarts < self.restarts && 100 * self.restarts > self.steps;
         (is_better && self.restarts >= MIN_UNPADDED).then_some(self.digits)
-    }
-
-    /// Mean step in the unit of the column.
-    pub fn mean_step(&self) -> Option<f64> {
-        let first = self.first?;
-        (self.steps > 0).then(|| (self.last - first).abs() / self.steps as f64)
     }
 }

@@ -44,19 +44,18 @@ const TEMPERATURES: &Units = &[(Scale::Si(1.0), "c degc celsius")];
 const LENGTHS: &Units = &[(Scale::Si(1.0), "m"), (Scale::Si(1e-3), "mm")];
 const SPEEDS: &Units = &[(Scale::Si(1.0), "m/s ms-1")];
 
-/// Powers of ten of a nanosecond that stand for a minute, 6 × 10¹⁰ ns, and an hour, 36 × 10¹¹ ns; see [`multiple`].
-const MINUTE: i32 = 10;
-const HOUR: i32 = 11;
-
-/// Power of ten of a nanosecond of a unit of time, and its spellings.
-const TIMES: &[(i32, &str)] = &[
-    (HOUR, "h hr hrs hour hours"),
-    (MINUTE, "min mins minute minutes"),
-    (9, "s sec secs second seconds"),
-    (6, "ms msec millis millisecond milliseconds epochms"),
-    (3, "us usec micros microsecond microseconds epochus"),
-    (0, "ns nsec nanos nanosecond nanoseconds"),
+/// Nanoseconds of a unit of time, and its spellings.
+pub const TIMES: &[(i64, &str)] = &[
+    (3_600_000_000_000, "h hr hrs hour hours"),
+    (60_000_000_000, "min mins minute minutes"),
+    (SECOND, "s sec secs second seconds"),
+    (MILLISECOND, "ms msec millis millisecond milliseconds epochms"),
+    (MICROSECOND, "us usec micros microsecond microseconds epochus"),
+    (1, "ns nsec nanos nanosecond nanoseconds"),
 ];
+pub const SECOND: i64 = 1_000_000_000;
+pub const MILLISECOND: i64 = 1_000_000;
+pub const MICROSECOND: i64 = 1_000;
 
 /// The entry of a table among whose spellings a text is.
 pub fn spelled<T: Copy>(table: &[(T, &str)], text: &str) -> Option<T> {
@@ -64,7 +63,7 @@ pub fn spelled<T: Copy>(table: &[(T, &str)], text: &str) -> Option<T> {
     table.iter().find(has).map(|(entry, _)| *entry)
 }
 
-/// A unit in one spelling: `m s^-2`, `m/s²`, `°/s`, `µT` become `ms-2`, `m/s2`, `deg/s`, `ut`.
+/// A unit in one spelling: `m s^-2`, `m/(s²)`, `°/s`, `µT` become `ms-2`, `m/s2`, `deg/s`, `ut`.
 fn canonical(unit: &str) -> String {
     let mut text = String::new();
     for c in unit.chars() {
@@ -75,7 +74,7 @@ fn canonical(unit: &str) -> String {
             '⁻' => text.push('-'),
             '¹' => text.push('1'),
             '°' | 'º' => text.push_str("deg"),
-            ' ' | '^' | '*' | '·' | '.' | '\u{fffd}' => {}
+            ' ' | '^' | '*' | '·' | '.' | '(' | ')' | '_' | '\u{fffd}' => {}
             c => text.extend(c.to_lowercase()),
         }
     }
@@ -99,6 +98,11 @@ pub fn scale(quantity: Quantity, unit: &str) -> Option<Scale> {
     known.iter().find_map(|units| spelled(units, &text))
 }
 
+/// Nanoseconds of a unit of time.
+pub fn time(unit: &str) -> Option<i64> {
+    spelled(TIMES, &canonical(unit))
+}
+
 /// m/s² of the unit of a column of accelerations, `None` for counts, if it has this name; the units of both are left out in
 /// the comparison.
 ///
@@ -116,19 +120,4 @@ pub(crate) fn acceleration_unit(column: &str, name: &str) -> Result<Option<Optio
             .error("the unit is missing or unknown", "write one of LSB, g, mg, m/s² in parentheses")
             .at(column)),
     }
-}
-
-/// Factor of the power of ten of a unit of time: not 1 for minutes and hours.
-pub fn multiple(exponent: i32) -> i64 {
-    match exponent {
-        MINUTE => 6,
-        HOUR => 36,
-        _ => 1,
-    }
-}
-
-/// Power of ten of a nanosecond of a unit of time, which is to be multiplied by its [`multiple`].
-pub fn time(unit: &str) -> Option<i32> {
-    let text = canonical(unit).replace('_', "");
-    spelled(TIMES, &text)
 }

@@ -1,9 +1,9 @@
 //! Counts that are not around 0: of unsigned converters, and of two's complement read as unsigned.
 
-use super::infer::{Evidence, median_norm};
 use super::layout::Group;
+use super::values::median_norm;
 use crate::recording::Quantity;
-use crate::stats::norm;
+use crate::stats::{median, norm};
 use crate::{Code, Problem};
 
 /// Middle of the range of 10, 12, 14 and 16 bits.
@@ -46,16 +46,18 @@ impl Zero {
     }
 }
 
-/// Where zero is in the counts of a track.
-pub fn find(group: &Group, evidence: Evidence, findings: &mut Vec<Problem>) -> Zero {
-    let samples = evidence.samples;
-    let zero = match evidence.zero_count {
+/// Where zero is in the counts of a track: where the user says, LSB, or by its samples.
+pub fn find(
+    group: &Group,
+    samples: &[[f64; 3]],
+    given: Option<f64>,
+    findings: &mut Vec<Problem>,
+) -> Zero {
+    let zero = match given {
         // A gyroscope of the same converter, or one that has its zero at 0.
         Some(zero) if group.quantity == Quantity::AngularRate => {
-            match fraction(samples, |v| (v - zero).abs() < 0.5 * zero.abs()) > 0.5 {
-                true => Zero::At(zero),
-                false => Zero::None,
-            }
+            let is_near = fraction(samples, |v| (v - zero).abs() < 0.5 * zero.abs()) > 0.5;
+            if is_near { Zero::At(zero) } else { Zero::None }
         }
         Some(zero) => Zero::At(zero),
         None if samples.is_empty() => Zero::None,
@@ -139,12 +141,13 @@ fn blocks(samples: &[[f64; 3]]) -> Vec<Block<'_>> {
     blocks
 }
 
-/// Median magnitude in the calmest quarter of the blocks.
-pub fn at_rest(samples: &[[f64; 3]]) -> Option<f64> {
+/// Median magnitude in the calmest quarter of the blocks, and the median standard deviation of those.
+pub fn at_rest(samples: &[[f64; 3]]) -> Option<(f64, f64)> {
     let blocks = blocks(samples);
     let calm = &blocks[..blocks.len().div_ceil(4)];
+    let sd = median(calm.iter().map(|block| block.1)).unwrap_or(f64::INFINITY);
     let calm: Vec<[f64; 3]> = calm.iter().flat_map(|block| block.0).copied().collect();
-    median_norm(if calm.is_empty() { samples } else { &calm })
+    Some((median_norm(if calm.is_empty() { samples } else { &calm })?, sd))
 }
 
 /// Magnitude at rest, if it is the same in several orientations.

@@ -13,6 +13,9 @@ use crate::recording::Sink;
 use crate::ros::message::Encoding;
 use crate::{Problem, Result};
 
+/// Longest record that is passed over, bytes: above any file, and far below what may be sought.
+const MAX_SKIPPED: u64 = 1 << 40;
+
 /// Files of a bag that begin with `magic`, in the order of recording.
 pub(super) fn files<'a>(source: &'a Source, magic: &[u8]) -> Vec<&'a Source> {
     let mut files = match source.members() {
@@ -94,12 +97,8 @@ fn walk(file: &Source, mut see: impl FnMut(u8, &[u8], u64, bool)) -> Result<Opti
                 see(code, &record, at, !whole);
             }
             op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK => return Ok(Some(at)),
-            _ => match i64::try_from(length) {
-                Ok(length) if length < i64::MAX / 2 => {
-                    reader.seek_relative(length).map_err(failed)?;
-                }
-                _ => return Ok(Some(at)),
-            },
+            _ if length > MAX_SKIPPED => return Ok(Some(at)),
+            _ => reader.seek_relative(length as i64).map_err(failed)?,
         }
         at = at.saturating_add(head.len() as u64 + length);
     }

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use wimu_host::inertial::InertialPath;
 use wimu_host::localization::{
-    AnchorPosition, Increment, Localization, LocalizationChoice, RangeRecording, RangeSample,
-    localize,
+    AnchorPosition, Increment, LocalizationChoice, RangeRecording, RangeSample, Ranged, localize,
 };
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::{Code, Problem, Severity};
@@ -69,21 +69,26 @@ fn hall(seed: u64, anchors: &[[f64; 3]]) -> Hall {
     Hall { recording, biases_m }
 }
 
-fn found(recording: &RangeRecording) -> Localization {
+/// What a path shows of its ranges.
+fn ranged(found: &InertialPath) -> &Ranged {
+    found.ranging.as_ref().unwrap()
+}
+
+fn found(recording: &RangeRecording) -> InertialPath {
     localize(recording, &LocalizationChoice::default()).unwrap()
 }
 
 /// RMS distance from the true path after 2 s, m.
-fn rmse(found: &Localization) -> f64 {
-    let points = found.path.points.iter().filter(|p| p.time_s > 2.0);
+fn rmse(found: &InertialPath) -> f64 {
+    let points = found.points.iter().filter(|p| p.time_s > 2.0);
     let squares: Vec<f64> =
         points.map(|p| distance(p.position_m, path(p.time_s)).powi(2)).collect();
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-fn finding<'a>(found: &'a Localization, code: Code, part: &str) -> Option<&'a Problem> {
+fn finding<'a>(found: &'a InertialPath, code: Code, part: &str) -> Option<&'a Problem> {
     let fits = |f: &&Problem| f.code == code && f.text.contains(part);
-    found.path.findings.iter().find(fits)
+    found.findings.iter().find(fits)
 }
 
 #[test]
@@ -93,13 +98,13 @@ fn position_and_biases_are_found_within_their_sigma() {
         let hall = hall(seed, &HALL);
         let found = found(&hall.recording);
         assert!(rmse(&found) < 0.16, "{}", rmse(&found));
-        for (anchor, truth) in found.anchors.iter().zip(&hall.biases_m) {
+        for (anchor, truth) in ranged(&found).anchors.iter().zip(&hall.biases_m) {
             let bias = anchor.bias_m.unwrap();
             squares += ((bias.value - truth) / bias.sigma).powi(2);
             count += 1;
         }
         // Every 3 s: independent.
-        for point in found.path.points.iter().skip(30).step_by(30) {
+        for point in found.points.iter().skip(30).step_by(30) {
             let error = nalgebra::Vector3::from(point.position_m)
                 - nalgebra::Vector3::from(path(point.time_s));
             let inverse = nalgebra::Matrix3::from(point.covariance_m2).try_inverse().unwrap();
@@ -121,15 +126,15 @@ fn a_bias_that_the_data_do_not_show_stays_at_its_prior_and_is_reported() {
     let found = found(&hall.recording);
     let hidden = finding(&found, Code::NotObserved, "bias of anchor").unwrap();
     assert!(hidden.text.contains("0 ± 0.1"), "{hidden}");
-    for anchor in found.anchors.iter().filter(|a| hidden.text.contains(&a.id)) {
+    for anchor in ranged(&found).anchors.iter().filter(|a| hidden.text.contains(&a.id)) {
         let bias = anchor.bias_m.unwrap();
         assert!((0.07..0.101).contains(&bias.sigma) && bias.value.abs() < 0.15, "{bias:?}");
     }
     let other = found_all();
-    assert!(finding(&other, Code::NotObserved, "bias").is_none(), "{:?}", other.path.findings);
+    assert!(finding(&other, Code::NotObserved, "bias").is_none(), "{:?}", other.findings);
 }
 
-fn found_all() -> Localization {
+fn found_all() -> InertialPath {
     found(&hall(1, &HALL).recording)
 }
 
@@ -141,7 +146,7 @@ fn anchors_in_a_plane_leave_two_paths_and_both_are_named() {
     let mirror = finding(&found, Code::NotObserved, "equally probable").expect("a mirror image");
     assert_eq!(mirror.severity, Severity::Warning);
     assert!(mirror.text.contains("in a plane"), "{mirror}");
-    assert!(found.path.points[100].position_m[2] > 0.0, "the upper one");
+    assert!(found.points[100].position_m[2] > 0.0, "the upper one");
     // Anchors at different heights have one path.
     assert!(finding(&found_all(), Code::NotObserved, "equally").is_none());
 }
@@ -173,8 +178,8 @@ fn a_moved_anchor_is_named_with_its_time() {
         }
         let found = found(&hall.recording);
         let how = if moved_m > 0.0 { "longer" } else { "shorter" };
-        let moved = finding(&found, Code::Residuals, how)
-            .unwrap_or_else(|| panic!("{:?}", found.path.findings));
+        let moved =
+            finding(&found, Code::Residuals, how).unwrap_or_else(|| panic!("{:?}", found.findings));
         assert!(moved.text.contains("A2"), "{moved}");
         let [from, to] = moved.place.span_s.unwrap();
         assert!((28.0..36.0).contains(&from) && to > 50.0, "{moved}");
@@ -196,7 +201,7 @@ fn ranges_without_line_of_sight_have_little_weight() {
         }
         let found = found(&hall.recording);
         assert!(rmse(&found) < 2.0 * clean, "{} and {clean}", rmse(&found));
-        assert!((0.35..0.65).contains(&found.noise.blocked), "{:?}", found.noise);
+        assert!((0.35..0.65).contains(&ranged(&found).noise.blocked), "{:?}", ranged(&found).noise);
     }
 }
 
@@ -212,7 +217,7 @@ fn a_position_that_jumps_is_reported_and_found_again() {
     let found = found(&hall.recording);
     let jump = finding(&found, Code::Navigation, "may jump").expect("reported");
     assert!((29.0..33.0).contains(&jump.place.span_s.unwrap()[0]), "{jump}");
-    let last = found.path.points.last().unwrap();
+    let last = found.points.last().unwrap();
     let [e, n, u] = path(last.time_s);
     assert!(distance(last.position_m, [e - 4.0, n, u]) < 0.3);
 }
@@ -237,14 +242,17 @@ fn survey_finds_anchors_that_are_known_roughly() {
                 hall.recording.anchors[i].position_m,
                 hall.recording.anchors[j].position_m,
             );
-            let estimated = distance(found.anchors[i].position_m, found.anchors[j].position_m);
+            let estimated = distance(
+                ranged(&found).anchors[i].position_m,
+                ranged(&found).anchors[j].position_m,
+            );
             before += (given - truth).powi(2);
             after += (estimated - truth).powi(2);
         }
     }
     println!("distances between anchors: {:.3} of the given error", (after / before).sqrt());
     assert!(after < 0.36 * before, "{after} and {before}");
-    let sd = found.anchors[0].position_sd_m.unwrap();
+    let sd = ranged(&found).anchors[0].position_sd_m.unwrap();
     assert!(sd.iter().all(|s| (0.01..0.2).contains(s)), "{sd:?}");
 }
 
@@ -299,11 +307,11 @@ fn vehicle(late_s: f64) -> RangeRecording {
 #[test]
 fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
     let found = found(&vehicle(0.0));
-    let scale = found.anchors[0].scale.unwrap();
+    let scale = ranged(&found).anchors[0].scale.unwrap();
     assert!((scale.value - 0.05).abs() < 3.0 * scale.sigma && scale.sigma < 0.02, "{scale:?}");
     assert!(scale.is_observed());
     // A minute after the unknown start.
-    let point = found.path.points.iter().find(|p| p.time_s > 60.0).unwrap();
+    let point = found.points.iter().find(|p| p.time_s > 60.0).unwrap();
     let truth = vehicle_path()[(point.time_s * 10.0).round() as usize];
     assert!(distance(point.position_m, [truth[0], truth[1], 0.0]) < 0.5, "{point:?}");
     assert!(finding(&found, Code::Clock, "").is_none());
@@ -313,8 +321,8 @@ fn odometry_finds_start_heading_and_the_scale_of_the_ranges() {
 fn a_clock_that_is_off_by_seconds_is_corrected_and_reported() {
     let truth = vehicle_path();
     // RMS error after a minute, m.
-    let error = |found: &Localization| {
-        let points = found.path.points.iter().filter(|p| p.time_s > 60.0);
+    let error = |found: &InertialPath| {
+        let points = found.points.iter().filter(|p| p.time_s > 60.0);
         let squares = points.filter_map(|p| {
             let [e, n] = *truth.get((p.time_s * 10.0).round() as usize)?;
             Some(distance(p.position_m, [e, n, 0.0]).powi(2))
@@ -344,7 +352,7 @@ fn a_clock_that_is_off_by_more_than_the_search_is_refused_or_reported() {
     assert!(text.contains("give both the times of one clock"), "{text}");
     let found = found(&vehicle(20.0));
     let unfit = finding(&found, Code::Clock, "at any clock offset within ± 12 s");
-    assert!(unfit.is_some(), "{:?}", found.path.findings);
+    assert!(unfit.is_some(), "{:?}", found.findings);
     assert!(finding(&found, Code::Clock, "corrected").is_none());
     let text = refused(&vehicle(400.0));
     assert!(text.contains("none of the ranges is within the time of the odometry"), "{text}");
@@ -380,9 +388,9 @@ fn a_gyroscope_does_not_make_the_path_worse() {
     let recording = RangeRecording { motion: Some(motion), ..hall.recording };
     let found = found(&recording);
     assert!(rmse(&found) < 1.05 * alone, "{} and {alone}", rmse(&found));
-    let [w, _, _, z] = found.path.points[3000].quaternion;
+    let [w, _, _, z] = found.points[3000].quaternion;
     let heading = 2.0 * z.atan2(w);
-    let expected = 1.0 + 0.2 * found.path.points[3000].time_s;
+    let expected = 1.0 + 0.2 * found.points[3000].time_s;
     let off = (heading - expected).sin().atan2((heading - expected).cos());
     assert!(off.abs() < 0.2, "{off}");
 }

@@ -68,7 +68,7 @@ fn error_m(strides: &Strides, points: &[PathPoint], from_s: f64) -> (f64, f64) {
 fn recorded_m(strides: &Strides, motion: &MotionRecording, ranges: &RangeRecording) -> f64 {
     let recording = RangeRecording { motion: Some(motion.clone()), ..ranges.clone() };
     let choice = LocalizationChoice { smooth: false, ..LocalizationChoice::default() };
-    error_m(strides, &localize(&recording, &choice).unwrap().path.points, 8.0).0
+    error_m(strides, &localize(&recording, &choice).unwrap().points, 8.0).0
 }
 
 #[test]

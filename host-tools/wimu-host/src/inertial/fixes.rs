@@ -7,9 +7,9 @@ use wimu_nav::filter::{Gate, Innovation};
 use wimu_nav::navigator::Navigator;
 use wimu_nav::sensor::{Heading, Position, Velocity};
 
-use super::StartPose;
 use super::segments::Segments;
 use super::suspects::{Lag, Suspects};
+use super::{Residual, StartPose};
 use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
 use crate::digits::significant;
 use crate::localization::{AnchorStates, Model, RangeSample, Ranging};
@@ -292,7 +292,7 @@ pub(super) const CONTRADICTIONS: usize = 5;
 const OUTLIER: f64 = -13.8;
 
 /// A range whose line of sight is less probable is counted as not used.
-const LINE_OF_SIGHT: f64 = 0.5;
+pub(crate) const LINE_OF_SIGHT: f64 = 0.5;
 
 /// What happened to the measurements of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -334,6 +334,8 @@ pub(super) struct Aiding {
     pub anchors: Option<AnchorStates>,
     pub suspects: Suspects,
     pub lag: Lag,
+    /// Of position, velocity and heading.
+    pub residuals: Vec<Residual>,
 }
 
 impl Aiding {
@@ -414,7 +416,7 @@ impl Aiding {
             }
             let innovation = navigator.fix(position, age_s, Gate::ChiSquare);
             segments.see_fix(&innovation);
-            accepted &= self.count(&innovation);
+            accepted &= self.count(fix.time_s, "position", off.norm(), &innovation);
             if accepted {
                 segments.locate();
             } else {
@@ -427,18 +429,31 @@ impl Aiding {
         if let (false, Some((velocity_mps, deviation_mps))) = (delayed, fix.velocity_mps) {
             let velocity =
                 Velocity { velocity_mps: velocity_mps.into(), deviation_mps, offset: None };
-            accepted &= self.count(&navigator.update(&velocity, Gate::ChiSquare));
+            let off = velocity.velocity_mps - Vector3::from(navigator.solution().velocity_mps);
+            let innovation = navigator.update(&velocity, Gate::ChiSquare);
+            accepted &= self.count(fix.time_s, "velocity", off.norm(), &innovation);
         }
         if let Some([heading_rad, deviation_rad]) = fix.heading_rad {
             let heading = Heading { heading_rad, deviation_rad };
-            accepted &= self.count(&navigator.update(&heading, Gate::ChiSquare));
+            let off = heading_rad - navigator.heading();
+            let innovation = navigator.update(&heading, Gate::ChiSquare);
+            accepted &= self.count(fix.time_s, "heading", off.sin().atan2(off.cos()), &innovation);
         }
         accepted
     }
 
-    fn count(&mut self, innovation: &Innovation) -> bool {
+    fn count(&mut self, time_s: f64, aid: &str, value: f64, innovation: &Innovation) -> bool {
         self.log_likelihood += innovation.log_likelihood.max(OUTLIER);
-        innovation.accepted
+        let Innovation { statistic, dof, accepted, .. } = *innovation;
+        self.residuals.push(Residual {
+            time_s,
+            aid: aid.to_owned(),
+            value,
+            statistic,
+            dof,
+            accepted,
+        });
+        accepted
     }
 
     /// Says how many of `all` fixes were not compared.

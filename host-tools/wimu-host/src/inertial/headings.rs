@@ -126,6 +126,7 @@ impl Headings {
             }
             for track in &mut self.tracks {
                 track.step(input, fixes);
+                track.aiding.residuals.clear();
             }
         }
         if self.tracks.len() > 1 {

@@ -35,6 +35,7 @@ mod segments;
 mod sense;
 mod smooth;
 mod steps;
+mod summary;
 mod suspects;
 mod track;
 mod truth;
@@ -45,13 +46,15 @@ use std::ops::RangeInclusive;
 
 pub use array::{navigate_array, navigate_axes};
 pub use fix_link::{FixLink, LeastDelay};
+pub(crate) use fixes::LINE_OF_SIGHT;
 pub use fixes::{Aided, Fix, Fixes};
 pub(crate) use holes::Holes;
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;
-pub use path::{InertialPath, PathPoint};
+pub use path::{InertialPath, PathPoint, Residual};
 pub(crate) use smooth::Tape;
+pub use summary::Summary;
 pub use truth::consistency;
 pub(crate) use unit::sample;
 pub use wimu_nav::navigator::Profile;
@@ -108,6 +111,15 @@ impl Zupt {
     /// Whether rests are used.
     pub fn is_on(self) -> bool {
         self != Self::Off
+    }
+
+    /// Value of the option `--zupt`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Assumed => "cautious",
+            Self::Stated => "on",
+            Self::Off => "off",
+        }
     }
 
     /// The same for a navigator.

@@ -12,6 +12,7 @@ use super::truth::consistency;
 use super::{Method, Move};
 use crate::csv::CsvWriter;
 use crate::digits::significant;
+use crate::localization::Ranged;
 use crate::mcap_file::RosFile;
 use crate::navigation::distance_m;
 use crate::ros::path::{PathTopics, Pose};
@@ -99,6 +100,23 @@ impl PathPoint {
     }
 }
 
+/// Innovation of a measurement by another system.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Residual {
+    /// Time, s.
+    pub time_s: f64,
+    /// What was measured: `position`, `velocity`, `heading`, or `range` with the name of the anchor.
+    pub aid: String,
+    /// Measured less predicted value in m, m/s or rad; of a vector its length.
+    pub value: f64,
+    /// Normalised innovation squared, and its degrees of freedom: χ² distributed if the filter is consistent.
+    pub statistic: f64,
+    /// See [`statistic`](Self::statistic).
+    pub dof: usize,
+    /// Whether it was used. A range without line of sight has little weight.
+    pub accepted: bool,
+}
+
 /// A path.
 #[derive(Clone, Debug)]
 pub struct InertialPath {
@@ -114,6 +132,10 @@ pub struct InertialPath {
     pub findings: Vec<Problem>,
     /// What happened to fixes and to ranges.
     pub aided: [Aided; 2],
+    /// What aids measured less what the forward filter predicted, used or not.
+    pub residuals: Vec<Residual>,
+    /// What ranges show of their anchors, of a path from ranges.
+    pub ranging: Option<Ranged>,
     /// Points known no better than this, m, are not valid.
     pub limit_m: f64,
     /// Whether the points rest on all samples ([`Choice::smooth`](super::Choice::smooth)).
@@ -144,6 +166,8 @@ impl InertialPath {
             moves: Vec::new(),
             findings: Vec::new(),
             aided: Default::default(),
+            residuals: Vec::new(),
+            ranging: None,
             limit_m,
             smoothed: false,
             smoothed_rate: false,

@@ -20,15 +20,42 @@ impl InertialPath {
     /// # Errors
     /// Those of [`Report`].
     pub fn page(&self, source: &str, text: &str) -> Report {
-        let mut page = self.summary(source, text);
-        for chart in self.charts(&[]) {
+        let mut page = self.head(source, text);
+        let anchors = self.ranging.iter().flat_map(|ranging| &ranging.anchors);
+        let positions: Vec<_> = anchors.clone().map(|anchor| anchor.position_m).collect();
+        let anchors = Series {
+            labels: anchors.map(|anchor| anchor.id.clone()).collect(),
+            ..Series::space("anchor", Style::Dots, &positions)
+        };
+        let more = if positions.is_empty() { Vec::new() } else { vec![anchors] };
+        let mut charts = self.charts(&more);
+        charts.extend(self.innovations());
+        for chart in charts {
             page.chart(&chart);
         }
         page
     }
 
+    /// The residuals of each aid over time.
+    fn innovations(&self) -> Option<Chart> {
+        let mut aids: Vec<&str> = self.residuals.iter().map(|r| r.aid.as_str()).collect();
+        aids.sort_unstable();
+        aids.dedup();
+        let of = |aid: &str| {
+            let own = self.residuals.iter().filter(|r| r.aid == aid);
+            own.map(|r| (r.time_s, r.value)).collect()
+        };
+        let series: Vec<Series> = aids.iter().map(|aid| Series::dots(aid, of(aid))).collect();
+        let title = "Residuals of the aids: measured less predicted";
+        (!series.is_empty()).then(|| Chart {
+            note: "Predicted by the forward filter, with the estimated bias and scale of each anchor. Ranges without line of sight are too long."
+                .to_owned(),
+            ..Chart::new(title, "time, s", "m, m/s, rad", series)
+        })
+    }
+
     /// The page without charts.
-    pub(crate) fn summary(&self, source: &str, text: &str) -> Report {
+    fn head(&self, source: &str, text: &str) -> Report {
         let mut page = Report::new(format!("Path of {source}"));
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
@@ -46,7 +73,7 @@ impl InertialPath {
     }
 
     /// The charts; `more` is drawn in the plan and in space.
-    pub(crate) fn charts(&self, more: &[Series]) -> Vec<Chart> {
+    fn charts(&self, more: &[Series]) -> Vec<Chart> {
         let mut charts = vec![self.plan(more)];
         // Ranges may be in a plane.
         let is_plane = self.points.iter().all(|point| point.position_m[2] == 0.0);

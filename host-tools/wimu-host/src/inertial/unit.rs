@@ -138,6 +138,7 @@ impl<'a> Unit<'a> {
         findings.extend(track.findings(None));
         findings.extend(track.aiding.outside(fixes.fixes.len()));
         let aided = [track.aiding.fixes, track.aiding.ranges];
+        let residuals = std::mem::take(&mut track.aiding.residuals);
         tape.finish(&mut track.navigator, &mut points);
         smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
         findings.extend(track.segments.finish(&mut points, &mut moves));
@@ -179,6 +180,7 @@ impl<'a> Unit<'a> {
         path.smoothed = smooth;
         path.findings = findings;
         path.aided = aided;
+        path.residuals = residuals;
         Ok(path)
     }
 

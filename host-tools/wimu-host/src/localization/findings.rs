@@ -6,7 +6,7 @@ use super::engine::Run;
 use super::hypotheses::{Chosen, LAST_SHIFT_S};
 use super::model::Model;
 use super::start::principal_axes;
-use super::{AnchorFound, Localization, Parameter, RangeRecording};
+use super::{AnchorFound, Parameter, RangeRecording, Ranged};
 use crate::digits::significant;
 use crate::motion::one_clock;
 use crate::plural::counted;
@@ -235,7 +235,7 @@ fn ends<T>(all: &[T], time_s: impl Fn(&T) -> f64) -> Option<[f64; 2]> {
 }
 
 /// Calibration parameters that the data do not show.
-pub(super) fn unobserved(found: &Localization) -> Vec<Problem> {
+pub(super) fn unobserved(found: &Ranged) -> Vec<Problem> {
     let hidden = |what: &str, unit: &str, of: fn(&AnchorFound) -> Option<Parameter>| {
         let anchors = found.anchors.iter().filter(|a| a.ranges > 0);
         let hidden = anchors.filter_map(|a| Some((a.id.as_str(), of(a)?)));

@@ -7,7 +7,6 @@ mod hypotheses;
 mod input;
 mod model;
 mod ranging;
-mod report;
 mod scales;
 mod start;
 
@@ -18,9 +17,8 @@ pub(crate) use model::Model;
 pub use model::RangePrior;
 pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
-pub use report::Innovation;
 
-use crate::inertial::{Holes, InertialPath, Method, StartPose};
+use crate::inertial::{Holes, InertialPath, LINE_OF_SIGHT, Method, Residual, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{Code, Problem, Result};
 use engine::{Motion, Recording, Run};
@@ -161,15 +159,11 @@ pub struct Noise {
     pub acceleration_m2s3: Option<f64>,
 }
 
-/// A path from ranges.
-#[derive(Clone, Debug)]
-pub struct Localization {
-    /// One point at each time of a range or of the other sensor.
-    pub path: InertialPath,
+/// What a path from ranges shows of them.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Ranged {
     /// In the order of the anchors.
     pub anchors: Vec<AnchorFound>,
-    /// One of each range.
-    pub innovations: Vec<Innovation>,
     /// Noise of the ranges.
     pub noise: Noise,
     /// Scale error of the odometer.
@@ -208,7 +202,7 @@ const ALIGNMENT_S: f64 = 0.5;
 ///
 /// # Errors
 /// `data_refused`: too few ranges or anchors, most accelerations no numbers, no position to the limit.
-pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
+pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<InertialPath> {
     if let Some(motion) = &recording.motion
         && let Some(holes) = Holes::of(motion)?
     {
@@ -221,7 +215,7 @@ pub fn localize(recording: &RangeRecording, choice: &LocalizationChoice) -> Resu
 }
 
 /// The path of a recording of which every inertial sample is a number.
-fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<Localization> {
+fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<InertialPath> {
     let mut noticed = recording.findings.clone();
     noticed.extend(findings::before(recording)?);
     findings::same_time(recording)?;
@@ -265,11 +259,11 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     noticed.extend(findings::after(recording, &model, &run, &chosen));
-    let mut found = presented(recording, &problem, choice, &model, run);
-    noticed.extend(findings::unobserved(&found));
-    found.path.findings = noticed;
-    found.path = found.path.checked(&recording.name, &findings::remedy(recording, &positions))?;
-    Ok(found)
+    let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
+    noticed.extend(findings::unobserved(&ranged));
+    path.findings = noticed;
+    path.ranging = Some(ranged);
+    path.checked(&recording.name, &findings::remedy(recording, &positions))
 }
 
 /// The run with the most probable start and the scales of greatest likelihood.
@@ -325,7 +319,7 @@ fn presented(
     choice: &LocalizationChoice,
     model: &Model,
     run: Run,
-) -> Localization {
+) -> (InertialPath, Ranged) {
     let method = match problem.motion {
         Motion::Free => Method::Ranges,
         Motion::Odometry(_) => Method::Odometry,
@@ -354,22 +348,24 @@ fn presented(
     let odometer_scale = parameter(run.odometer_scale, model.odometry.scale);
     let delay_s = parameter(run.delay_s, engine::DELAY_S);
     let judged = recording.ranges.iter().zip(&run.judged);
-    let innovations = judged.map(|(range, judged)| Innovation {
+    let residuals = judged.map(|(range, judged)| Residual {
         time_s: range.time_s,
-        anchor: range.anchor,
-        innovation_m: judged.innovation_m,
+        aid: format!("range {}", recording.anchors[range.anchor].id),
+        value: judged.innovation_m,
+        statistic: judged.innovation_m.powi(2) / judged.variance_m2,
+        dof: 1,
+        accepted: judged.weight >= LINE_OF_SIGHT,
     });
-    let innovations = innovations.collect();
+    let residuals = residuals.collect();
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {
         point.valid = point.sd_m() <= choice.limit_m;
     }
     path.smoothed = choice.smooth;
-    Localization {
-        path,
+    path.residuals = residuals;
+    let ranged = Ranged {
         anchors,
-        innovations,
         noise: Noise {
             white_m: model.ranges.noise_m,
             correlated_m: model.ranges.correlated_m,
@@ -378,5 +374,6 @@ fn presented(
         },
         odometer_scale,
         delay_s,
-    }
+    };
+    (path, ranged)
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use wimu_host::digits::significant;
 use wimu_host::html::Report;
 use wimu_host::inertial::{InertialPath, PathPoint, consistency};
-use wimu_host::localization::{AnchorFound, Localization};
+use wimu_host::localization::AnchorFound;
 use wimu_host::motion::nees;
 use wimu_host::{Result, chart};
 use wimu_sim::walk::{carried_m, distance_m};
@@ -64,11 +64,12 @@ struct Demonstrated {
 impl Demonstrated {
     fn of(walks: &Walks, arguments: &Demo) -> Self {
         let ranges = &walks.ranges;
-        let score = |found: &Localization| {
-            let from = found.path.points.partition_point(|p| p.time_s < BEGIN_S);
-            Score::of(&found.path.points[from..], |p| carried_m(p.time_s))
+        let score = |path: &InertialPath| {
+            let from = path.points.partition_point(|p| p.time_s < BEGIN_S);
+            Score::of(&path.points[from..], |p| carried_m(p.time_s))
         };
-        let biases = walks.after.anchors.iter().zip(&ranges.biases_m);
+        let anchors = || walks.after.ranging.iter().flat_map(|ranging| &ranging.anchors);
+        let biases = anchors().zip(&ranges.biases_m);
         let bias = |(anchor, true_m): (&AnchorFound, &f64)| {
             let found = anchor.bias_m?;
             Some(Bias {
@@ -80,8 +81,7 @@ impl Demonstrated {
         };
         let all = ranges.blocked.len() as f64;
         let hidden = ranges.blocked.iter().filter(|blocked| **blocked).count() as f64;
-        let found = walks.after.anchors.iter();
-        let found: f64 = found.map(|a| a.blocked * a.ranges as f64).sum();
+        let found: f64 = anchors().map(|a| a.blocked * a.ranges as f64).sum();
         let end = |path: &InertialPath| {
             let last = path.points.last().zip(walks.truth().last());
             last.map_or(f64::NAN, |(p, truth)| distance_m(p.position_m, truth))

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use wimu_host::chart::{Chart, Series};
 use wimu_host::inertial::{Choice, Fixes, InertialPath, PathPoint, Profile, Zupt, navigate};
-use wimu_host::localization::{Localization, LocalizationChoice, RangePrior, localize};
+use wimu_host::localization::{LocalizationChoice, RangePrior, localize};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{OutputFile, Problem, Result};
 use wimu_sim::walk::{HALL_M, RangeWalk, Strides, carried_m, fixes, sensed};
@@ -28,8 +28,8 @@ const SHOWN: usize = 1000;
 /// What is simulated, and what is found of it.
 pub struct Walks {
     pub ranges: RangeWalk,
-    pub before: Localization,
-    pub after: Localization,
+    pub before: InertialPath,
+    pub after: InertialPath,
     walk: MotionRecording,
     pub foot: InertialPath,
     pub integrated: InertialPath,
@@ -77,7 +77,7 @@ impl Walks {
             let shown = points.iter().step_by((points.len() / SHOWN).max(1));
             Series::line(name, shown.map(|p| level(p.position_m)).collect())
         };
-        let times = self.after.path.points.iter().map(|p| p.time_s);
+        let times = self.after.points.iter().map(|p| p.time_s);
         let carried = Series::line("truth", times.map(|t| level(carried_m(t))).collect());
         let walked = self.truth().step_by((self.walk.truth.len() / SHOWN).max(1));
         let walked = Series::line("truth", walked.map(level).collect());
@@ -89,8 +89,8 @@ impl Walks {
                 plan(
                     "Walk in a hall with six anchors",
                     vec![
-                        line("biases taken as zero", &self.before.path.points),
-                        line("biases estimated", &self.after.path.points),
+                        line("biases taken as zero", &self.before.points),
+                        line("biases estimated", &self.after.points),
                         carried,
                         Series::dots("anchors", anchors),
                     ],

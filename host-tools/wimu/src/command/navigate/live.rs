@@ -113,7 +113,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     path.findings.extend(fixes.findings().iter().cloned());
     let mut new = path.findings.clone();
     new.retain(|finding| shown.is_new(finding));
-    output.object(&present(arguments, &path, &new, &choice, link.to_owned(), output)?);
+    output.object(&present(arguments, &path, &new, Some(&choice), link.to_owned(), output)?);
     ended
 }
 

@@ -25,9 +25,12 @@ impl Measurement for Position {
         let arm = filter.state.attitude * self.lever_arm_m;
         let shown = filter.state.get(POSITION) + arm;
         let rows = self.measured();
-        // A component without a measurement: any variance.
-        let variance = self.deviation_m.map(|sd| if sd.is_finite() { sd * sd } else { 1.0 });
-        Prediction::new(rows * (self.position_m - shown), Matrix3::from_diagonal(&variance))
+        // A component without a measurement, which may be no number: no innovation, any variance.
+        let finite = |value: f64, sd: f64, other| if sd.is_finite() { value } else { other };
+        let off =
+            (self.position_m - shown).zip_map(&self.deviation_m, |off, sd| finite(off, sd, 0.0));
+        let variance = self.deviation_m.map(|sd| finite(sd * sd, sd, 1.0));
+        Prediction::new(off, Matrix3::from_diagonal(&variance))
             .by(POSITION, rows)
             .by(ATTITUDE, rows * -arm.cross_matrix())
     }

@@ -35,7 +35,8 @@ struct Counts {
 }
 
 fn options(session: u32) -> ConnectOptions {
-    ConnectOptions { session: Some(session), patience: Duration::from_secs(60) }
+    let patience = Duration::from_secs(60);
+    ConnectOptions { session: Some(session), patience, ..ConnectOptions::default() }
 }
 
 /// A link whose host's clock leaps by an hour, as after a computer's sleep, each time it has been

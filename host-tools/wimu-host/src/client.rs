@@ -9,7 +9,8 @@ use wimu_link::auth::{DeviceKey, KeyId, Session};
 use wimu_link::message::{Answer, Event as DeviceEvent, Payload, Refusal, Status};
 use wimu_link::requester::Next;
 use wimu_link::{
-    Command, Hello, LinkRole, MAX_FRAME, Requester, Settings, WIRE_VERSION, WhoAreYou, WriteAccess,
+    Command, Deframer, Hello, Kind, LinkRole, MAX_FRAME, Request, Requester, Settings,
+    WIRE_VERSION, WhoAreYou, WriteAccess,
 };
 use wimu_model::{ParameterId, ParameterSet};
 
@@ -17,6 +18,7 @@ use crate::clock::wire_length;
 use crate::decode::{Arrival, Decoder, Event, LinkStatistics};
 use crate::keys;
 use crate::link_url::LinkUrl;
+use crate::mcap_file::{Received, Recorded};
 use crate::transport::{self, Transport};
 use crate::{Code, Problem, Result};
 
@@ -47,12 +49,14 @@ pub struct ConnectOptions {
     pub patience: Duration,
     /// Number of this host in requests; random if `None`.
     pub session: Option<u32>,
+    /// Whether all data that pass over the link are kept for [`Client::take_data`].
+    pub keep_data: bool,
 }
 
 impl Default for ConnectOptions {
-    /// 3 s, a random session.
+    /// 3 s, a random session, no data kept.
     fn default() -> Self {
-        Self { patience: Duration::from_secs(3), session: None }
+        Self { patience: Duration::from_secs(3), session: None, keep_data: false }
     }
 }
 
@@ -113,6 +117,16 @@ pub struct Client<T> {
     time_bytes: usize,
     /// Nominal scales of sensor 0, LSB/*g* and rad/s per LSB, from its latest epoch.
     nominal: Option<(f64, Option<f64>)>,
+    /// Data that passed over the link, if they are kept.
+    kept: Option<Vec<Passed>>,
+}
+
+/// Data that passed over the link.
+struct Passed {
+    /// Time of reading, or before writing, ns on the link's clock.
+    host_ns: u64,
+    bytes: Vec<u8>,
+    is_sent: bool,
 }
 
 impl<T: Transport> Client<T> {
@@ -122,12 +136,13 @@ impl<T: Transport> Client<T> {
     /// `not_a_wimu_board` without an answer, `protocol_version` when the board uses another version,
     /// `link_busy` when the other end closes the link at once, `link_lost` when it does so later.
     pub fn connect(transport: T, name: &str, options: ConnectOptions) -> Result<Self> {
-        let mut client = Self::new(transport, name, options.session);
+        let mut client = Self::new(transport, name, options);
         client.greet(options.patience)?;
         Ok(client)
     }
 
-    fn new(transport: T, name: &str, session: Option<u32>) -> Self {
+    fn new(transport: T, name: &str, options: ConnectOptions) -> Self {
+        let session = options.session;
         let random = || RandomState::new().hash_one(name) as u32;
         Self {
             transport,
@@ -145,6 +160,7 @@ impl<T: Transport> Client<T> {
             pauses_left: MAX_PAUSES,
             time_bytes: 0,
             nominal: None,
+            kept: options.keep_data.then(Vec::new),
         }
     }
 
@@ -178,28 +194,6 @@ impl<T: Transport> Client<T> {
         greeted
     }
 
-    /// The same connection over a transport that contains the one in use.
-    #[must_use]
-    pub fn map_transport<U>(self, wrap: impl FnOnce(T) -> U) -> Client<U> {
-        Client {
-            transport: wrap(self.transport),
-            name: self.name,
-            decoder: self.decoder,
-            requester: self.requester,
-            hello: self.hello,
-            arrivals: self.arrivals,
-            dropped: self.dropped,
-            greeting: self.greeting,
-            answer: self.answer,
-            key: self.key,
-            seed: self.seed,
-            deaf_until: self.deaf_until,
-            pauses_left: self.pauses_left,
-            time_bytes: self.time_bytes,
-            nominal: self.nominal,
-        }
-    }
-
     /// Whether the device may have restarted unnoticed: its identification decides.
     pub fn is_in_doubt(&self) -> bool {
         self.decoder.is_in_doubt()
@@ -213,7 +207,7 @@ impl<T: Transport> Client<T> {
         let mut question = [0; MAX_FRAME + 1];
         // The leading zero ends an incomplete frame of an earlier host.
         let length = WhoAreYou::default().encode(&mut question[1..]).map_or(0, |length| length + 1);
-        self.transport.write_all(&question[..length])
+        self.send(&question[..length]).map(drop)
     }
 
     fn greet(&mut self, patience: Duration) -> Result<()> {
@@ -315,6 +309,39 @@ impl<T: Transport> Client<T> {
         &self.name
     }
 
+    /// Keeps all data that pass over the link from now on, for [`take_data`](Self::take_data).
+    #[must_use]
+    pub fn keeping_data(mut self) -> Self {
+        self.kept.get_or_insert_default();
+        self
+    }
+
+    /// All data that passed over the link since the last call, except a device's key.
+    pub fn take_data(&mut self) -> Vec<Recorded> {
+        let role = self.hello.role;
+        let kept = self.kept.as_mut().map(std::mem::take).unwrap_or_default();
+        let entries = kept.into_iter().map(|Passed { host_ns, bytes, is_sent }| match is_sent {
+            true => Recorded::Sent { role, host_ns, bytes },
+            false => Recorded::Received(Received { role, host_ns, bytes }),
+        });
+        entries.collect()
+    }
+
+    /// Sends whole frames; returns the time before, ns on the link's clock.
+    ///
+    /// # Errors
+    /// Those of the transport.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<u64> {
+        let host_ns = nanoseconds(self.transport.now());
+        self.transport.write_all(bytes)?;
+        if let Some(kept) = &mut self.kept
+            && !carries_key(bytes)
+        {
+            kept.push(Passed { host_ns, bytes: bytes.to_vec(), is_sent: true });
+        }
+        Ok(host_ns)
+    }
+
     /// Statistics of the link.
     pub fn statistics(&self) -> LinkStatistics {
         LinkStatistics { events_dropped: self.dropped, ..self.decoder.statistics() }
@@ -385,8 +412,12 @@ impl<T: Transport> Client<T> {
             nominal,
             ..
         } = self;
-        let received = self.transport.received_at();
-        let host_ns = u64::try_from(received.as_nanos()).unwrap_or(u64::MAX);
+        let host_ns = nanoseconds(self.transport.received_at());
+        if count > 0
+            && let Some(kept) = &mut self.kept
+        {
+            kept.push(Passed { host_ns, bytes: buffer[..count].to_vec(), is_sent: false });
+        }
         decoder.push(host_ns, &buffer[..count], |arrival| {
             match &arrival.event {
                 Event::Hello(new) => {
@@ -425,4 +456,23 @@ impl<T: Transport> Client<T> {
         });
         Ok(())
     }
+}
+
+/// Whether data to a board carry a device's key.
+fn carries_key(bytes: &[u8]) -> bool {
+    let is_key = |request: Request| matches!(request.command, Command::SetKey(_));
+    requests_in(bytes).any(is_key)
+}
+
+/// The requests in data sent by the host.
+pub(crate) fn requests_in(bytes: &[u8]) -> impl Iterator<Item = Request> {
+    let mut deframer = Deframer::new();
+    bytes.iter().filter_map(move |&byte| match deframer.push(byte) {
+        Some(Ok(frame)) if frame.kind == Kind::Request => Request::decode(frame.body).ok(),
+        _ => None,
+    })
+}
+
+pub(crate) fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

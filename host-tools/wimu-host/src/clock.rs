@@ -12,10 +12,11 @@ use std::time::Duration;
 
 use serde::Serialize;
 use wimu_link::batch::Stream;
-use wimu_link::message::{Answer, Payload, Request};
-use wimu_link::{Deframer, Kind, LinkRole, MAX_FRAME, Reply};
+use wimu_link::message::{Answer, Payload};
+use wimu_link::{LinkRole, MAX_FRAME, Reply};
 use wimu_model::DeviceTimeUs;
 
+use crate::client::requests_in;
 use crate::decode::{Arrival, Event};
 use crate::series::thin_out;
 
@@ -235,7 +236,8 @@ impl ClockEstimator {
     /// long as their answers, padded with zeros, and take as long on the line. Only the first of equal requests is used:
     /// the device has received none before it.
     pub fn asked(&mut self, host_ns: u64, bytes: &[u8]) {
-        for question in requests(bytes) {
+        for request in requests_in(bytes) {
+            let question = (request.session, request.id);
             if self.asked.len() >= MAX_ASKED {
                 self.asked.clear();
                 self.sent.clear();
@@ -375,21 +377,6 @@ fn alone_for(before_ns: Option<u64>, came_ns: u64) -> f64 {
 pub(crate) fn wire_length(reply: &Reply) -> usize {
     let mut frame = [0; MAX_FRAME];
     reply.encode(&mut frame).unwrap_or_default()
-}
-
-/// Session and number of the requests in data sent by the host.
-fn requests(bytes: &[u8]) -> Vec<(u32, u32)> {
-    let mut deframer = Deframer::new();
-    let mut found = Vec::new();
-    for &byte in bytes {
-        if let Some(Ok(frame)) = deframer.push(byte)
-            && frame.kind == Kind::Request
-            && let Ok(request) = Request::decode(frame.body)
-        {
-            found.push((request.session, request.id));
-        }
-    }
-    found
 }
 
 /// Conversion of device time to host time, within one start of a device.

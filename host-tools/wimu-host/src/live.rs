@@ -6,14 +6,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use wimu_link::LinkRole;
 use wimu_link::message::Status;
-use wimu_link::{Command, Deframer, Kind, LinkRole, Request};
 
 use crate::authentication::Authentication;
-use crate::client::Client;
+use crate::client::{Client, nanoseconds};
 use crate::clock::{ClockEstimator, ClockModel, Pace};
 use crate::decode::{Arrival, Event, LinkStatistics};
-use crate::mcap_file::{Received, Recorded};
+use crate::mcap_file::Recorded;
 use crate::transport::{self, Transport};
 use crate::{Code, LinkUrl, Problem, Result};
 
@@ -26,12 +26,12 @@ const ENOUGH: u64 = 1 << 16;
 /// Largest number of messages that wait for their receiver: 64 MiB, or six seconds of a stalled disk.
 const MAX_QUEUED: usize = 1024;
 
-/// A client whose data are kept.
-pub type LiveClient = Client<Tap<Box<dyn Transport + Send>>>;
+/// A client of a real link.
+pub type LiveClient = Client<Box<dyn Transport + Send>>;
 
 /// Links that are listened to.
 pub struct LiveLinks {
-    receiver: Receiver<(usize, Heard)>,
+    receiver: Receiver<(usize, LinkUpdate)>,
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<LiveClient>>,
 }
@@ -52,8 +52,9 @@ impl LiveLinks {
     pub fn start(links: Vec<(LinkUrl, LiveClient)>, pace: fn(Option<u32>) -> Pace) -> Self {
         let shared = Arc::new(Shared::default());
         let (sender, receiver) = mpsc::sync_channel(MAX_QUEUED);
-        let listen = |(index, (url, mut client)): (usize, (LinkUrl, LiveClient))| {
+        let listen = |(index, (url, client)): (usize, (LinkUrl, LiveClient))| {
             let (shared, sender) = (shared.clone(), sender.clone());
+            let mut client = client.keeping_data();
             thread::spawn(move || {
                 let baud = client.transport().baud();
                 let authentication = Authentication::new(client.verify());
@@ -81,7 +82,10 @@ impl LiveLinks {
     ///
     /// # Errors
     /// `Timeout`; `Disconnected` when all have stopped and everything was received.
-    pub fn next(&self, timeout: Duration) -> std::result::Result<(usize, Heard), RecvTimeoutError> {
+    pub fn next(
+        &self,
+        timeout: Duration,
+    ) -> std::result::Result<(usize, LinkUpdate), RecvTimeoutError> {
         self.receiver.recv_timeout(timeout)
     }
 
@@ -96,7 +100,7 @@ impl LiveLinks {
     }
 
     /// Stops listening, passes on what was received until then, and returns the clients, in the order of the links.
-    pub fn finish(self, mut each: impl FnMut(usize, &Heard)) -> Vec<LiveClient> {
+    pub fn finish(self, mut each: impl FnMut(usize, &LinkUpdate)) -> Vec<LiveClient> {
         self.stop();
         self.receiver.iter().for_each(|(index, heard)| each(index, &heard));
         let joined = self.threads.into_iter().map(JoinHandle::join);
@@ -104,9 +108,9 @@ impl LiveLinks {
     }
 }
 
-/// Message of a link.
+/// What a link has brought since the last one.
 #[derive(Default)]
-pub struct Heard {
+pub struct LinkUpdate {
     /// Its data, byte for byte.
     pub entries: Vec<Recorded>,
     /// The same, decoded.
@@ -144,12 +148,12 @@ impl Listener<'_> {
         self.shared.stop.load(Ordering::Relaxed)
     }
 
-    fn run(mut self, tell: impl Fn(Heard) -> bool) -> LiveClient {
+    fn run(mut self, tell: impl Fn(LinkUpdate) -> bool) -> LiveClient {
         let mut told_clock = Instant::now();
         while !self.stopped() {
             let mut arrivals = Vec::new();
             let outcome = self.listen(&mut arrivals);
-            let mut entries = self.heard();
+            let mut entries = self.client.take_data();
             let lost = outcome.err();
             if let Some(error) = &lost {
                 let host_ns = nanoseconds(self.client.transport().now());
@@ -167,7 +171,7 @@ impl Listener<'_> {
                 })
                 .flatten();
             let told = (entries.is_empty() && arrivals.is_empty())
-                || tell(Heard {
+                || tell(LinkUpdate {
                     entries,
                     arrivals,
                     statistics: self.client.statistics(),
@@ -182,8 +186,8 @@ impl Listener<'_> {
                 self.reconnect(error, &tell);
             }
         }
-        let _ = tell(Heard {
-            entries: self.heard(),
+        let _ = tell(LinkUpdate {
+            entries: self.client.take_data(),
             arrivals: self.client.take_events(),
             statistics: self.client.statistics(),
             authentication: self.authentication,
@@ -205,8 +209,10 @@ impl Listener<'_> {
         let now = self.client.transport().now();
         if self.schedule.is_due(now) {
             self.schedule.asked(now);
-            self.client.ask_time()?;
-            self.note_sent();
+            if let Some((host_ns, question)) = self.client.ask_time()? {
+                // Before its answer.
+                self.clock.asked(host_ns, &question);
+            }
         }
         let doubted = std::mem::replace(&mut self.in_doubt, self.client.is_in_doubt());
         if self.in_doubt && !doubted {
@@ -238,22 +244,8 @@ impl Listener<'_> {
         Ok(())
     }
 
-    /// Passes a time request to the clock estimator, before its answer.
-    fn note_sent(&mut self) {
-        if let Some(Tapped::Sent { host_ns, bytes }) = self.client.transport().last() {
-            let (host_ns, bytes) = (*host_ns, bytes.clone());
-            self.clock.asked(host_ns, &bytes);
-        }
-    }
-
-    fn heard(&mut self) -> Vec<Recorded> {
-        let role = self.role;
-        let tapped = self.client.transport().take();
-        tapped.into_iter().map(|entry| entry.of(role)).collect()
-    }
-
     /// Tries until the link is back.
-    fn reconnect(&mut self, mut error: Problem, tell: &impl Fn(Heard) -> bool) {
+    fn reconnect(&mut self, mut error: Problem, tell: &impl Fn(LinkUpdate) -> bool) {
         loop {
             let wait = Instant::now();
             while wait.elapsed() < TRY_EVERY {
@@ -266,7 +258,7 @@ impl Listener<'_> {
             let resumed = match transport::open(&self.url) {
                 Ok(transport) => {
                     opened_ns = Some(nanoseconds(transport.now()));
-                    self.client.resume(Tap::on(transport))
+                    self.client.resume(transport)
                 }
                 Err(absent) => Err(absent),
             };
@@ -275,7 +267,7 @@ impl Listener<'_> {
             if let Err(still) = resumed {
                 error = still;
             }
-            let (role, heard) = (self.role, self.heard());
+            let (role, heard) = (self.role, self.client.take_data());
             let brought = heard.iter().any(|entry| matches!(entry, Recorded::Received(_)));
             let mut entries = Vec::new();
             // The data of another board are not recorded.
@@ -293,7 +285,7 @@ impl Listener<'_> {
             if back {
                 self.schedule = (self.pace)(self.baud);
             }
-            let told = tell(Heard {
+            let told = tell(LinkUpdate {
                 entries,
                 arrivals: Vec::new(),
                 statistics: self.client.statistics(),
@@ -306,107 +298,4 @@ impl Listener<'_> {
             }
         }
     }
-}
-
-/// Data that passed over a link.
-#[derive(Clone, Debug)]
-pub enum Tapped {
-    /// Bytes from the board.
-    Received {
-        /// Time of reading, ns on the link's clock.
-        host_ns: u64,
-        /// As received.
-        bytes: Vec<u8>,
-    },
-    /// Bytes to the board.
-    Sent {
-        /// Time before writing, ns on the link's clock.
-        host_ns: u64,
-        /// As sent.
-        bytes: Vec<u8>,
-    },
-}
-
-impl Tapped {
-    /// As an entry of a recording.
-    pub fn of(self, role: LinkRole) -> Recorded {
-        match self {
-            Self::Received { host_ns, bytes } => {
-                Recorded::Received(Received { role, host_ns, bytes })
-            }
-            Self::Sent { host_ns, bytes } => Recorded::Sent { role, host_ns, bytes },
-        }
-    }
-}
-
-/// A link that keeps a copy of all its data with their times, except a device's key.
-pub struct Tap<T> {
-    inner: T,
-    heard: Vec<Tapped>,
-}
-
-impl<T: Transport> Tap<T> {
-    /// A tap on `inner`.
-    pub fn on(inner: T) -> Self {
-        Self { inner, heard: Vec::new() }
-    }
-
-    /// The data since the last call.
-    pub fn take(&mut self) -> Vec<Tapped> {
-        std::mem::take(&mut self.heard)
-    }
-
-    /// The latest data.
-    pub(crate) fn last(&self) -> Option<&Tapped> {
-        self.heard.last()
-    }
-}
-
-impl<T: Transport> Transport for Tap<T> {
-    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
-        let count = self.inner.read(buffer, timeout)?;
-        if count > 0 {
-            self.heard.push(Tapped::Received {
-                host_ns: nanoseconds(self.inner.received_at()),
-                bytes: buffer[..count].to_vec(),
-            });
-        }
-        Ok(count)
-    }
-
-    fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
-        let host_ns = nanoseconds(self.inner.now());
-        self.inner.write_all(bytes)?;
-        if !carries_key(bytes) {
-            self.heard.push(Tapped::Sent { host_ns, bytes: bytes.to_vec() });
-        }
-        Ok(())
-    }
-
-    fn now(&self) -> Duration {
-        self.inner.now()
-    }
-
-    fn received_at(&self) -> Duration {
-        self.inner.received_at()
-    }
-
-    fn baud(&self) -> Option<u32> {
-        self.inner.baud()
-    }
-}
-
-fn carries_key(bytes: &[u8]) -> bool {
-    let mut deframer = Deframer::new();
-    bytes.iter().any(|&byte| match deframer.push(byte) {
-        Some(Ok(frame)) if frame.kind == Kind::Request => {
-            let request = Request::decode(frame.body);
-            matches!(request.map(|request| request.command), Ok(Command::SetKey(_)))
-        }
-        _ => false,
-    })
-}
-
-pub(crate) fn nanoseconds(time: Duration) -> u64 {
-    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -12,7 +12,7 @@ use crate::authentication::Authentication;
 use crate::client::{Client, ConnectOptions};
 use crate::clock::{ClockSummary, Pace};
 use crate::decode::{Event, LinkStatistics};
-use crate::live::{LiveClient, LiveLinks, Tap};
+use crate::live::{LiveClient, LiveLinks};
 use crate::mcap_file::{ClockAnchor, RecordingWriter};
 use crate::transport::{self, Transport};
 use crate::{Code, LinkUrl, Problem, Result};
@@ -59,8 +59,8 @@ impl Recorder {
     pub fn connect(links: &[LinkUrl]) -> Result<Self> {
         let mut clients: Vec<(LinkUrl, LiveClient)> = Vec::new();
         for link in links {
-            let tap = Tap::on(transport::open(link)?);
-            let client = Client::connect(tap, &link.to_string(), ConnectOptions::default())?;
+            let options = ConnectOptions { keep_data: true, ..ConnectOptions::default() };
+            let client = Client::connect(transport::open(link)?, &link.to_string(), options)?;
             clients.push((link.clone(), client));
         }
         for (index, (_, client)) in clients.iter().enumerate() {

@@ -63,6 +63,8 @@ struct Board {
     /// Nominal scale of the gyroscope in its epochs, rad/s per LSB.
     gyroscope: Option<f64>,
     heard_while_deaf: u32,
+    /// Brings these bytes without end instead, if there are any.
+    flood: Vec<u8>,
 }
 
 #[derive(Clone)]
@@ -92,6 +94,7 @@ impl Line {
             holds: None,
             gyroscope: None,
             heard_while_deaf: 0,
+            flood: Vec::new(),
         })))
     }
 
@@ -197,6 +200,12 @@ impl Board {
 impl Transport for Line {
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize> {
         let mut board = self.board();
+        if !board.flood.is_empty() {
+            board.now += Duration::from_millis(10);
+            let count = buffer.len().min(board.flood.len());
+            buffer[..count].copy_from_slice(&board.flood[..count]);
+            return Ok(count);
+        }
         if board.outgoing.is_empty() {
             let due = board.next_environment.saturating_sub(board.now);
             let quiet = if board.silent { timeout } else { timeout.min(due) };
@@ -457,40 +466,13 @@ fn one_pause_is_believed_up_to_its_limit() {
     }
 }
 
-/// Brings the same bytes without end, and takes all.
-struct Flood {
-    now: Duration,
-    bytes: Vec<u8>,
-}
-
-impl Transport for Flood {
-    fn read(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize> {
-        let count = buffer.len().min(self.bytes.len());
-        buffer[..count].copy_from_slice(&self.bytes[..count]);
-        self.now += Duration::from_millis(10);
-        Ok(count)
-    }
-
-    fn write_all(&mut self, _: &[u8]) -> Result<()> {
-        Ok(())
-    }
-
-    fn now(&self) -> Duration {
-        self.now
-    }
-}
-
-/// A client of a board whose line brings these bytes without end from now on.
-fn flood(bytes: Vec<u8>) -> Client<Flood> {
-    let client = Line::new(LinkRole::Cable).connect().unwrap();
-    client.map_transport(|_| Flood { now: Duration::ZERO, bytes })
-}
-
 #[test]
 fn what_waits_to_be_handed_out_is_bounded_and_what_is_dropped_counted() {
     let found = DeviceEvent::SensorFound;
     let event = telemetry(&Telemetry::Event { time_us: 0, event: found });
-    let mut client = flood(event.repeat(100));
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    line.board().flood = event.repeat(100);
     while client.statistics().events_dropped == 0 {
         assert_eq!(client.settings().unwrap_err().code, Code::NoAnswer);
     }
@@ -502,12 +484,16 @@ fn what_waits_to_be_handed_out_is_bounded_and_what_is_dropped_counted() {
 
 #[test]
 fn noise_without_end_is_no_board_and_no_event() {
-    let noise = || Flood { now: Duration::ZERO, bytes: vec![0x55; 4096] };
+    let noise = vec![0x55; 4096];
     let patience = Duration::from_secs(1000);
     let options = ConnectOptions { patience, ..ConnectOptions::default() };
-    let error = Client::connect(noise(), "test", options).err().unwrap();
+    let line = Line::new(LinkRole::Cable);
+    line.board().flood = noise.clone();
+    let error = Client::connect(line, "test", options).err().unwrap();
     assert_eq!(error.code, Code::NotAWimuBoard);
-    let mut client = flood(noise().bytes);
+    let line = Line::new(LinkRole::Cable);
+    let mut client = line.connect().unwrap();
+    line.board().flood = noise;
     client.take_events();
     let before = client.statistics().bytes;
     assert!(client.next_event(patience).unwrap().is_none());

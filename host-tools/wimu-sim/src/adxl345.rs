@@ -9,15 +9,13 @@
 
 use std::collections::VecDeque;
 
-use crate::chip::{Chip, FifoMode};
+use crate::chip::{Chip, FifoMode, Registers};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source};
 use crate::spi;
 
 /// Its I²C address, with SDO low.
 pub const ADDRESS: u8 = 0x53;
-/// Its I²C address, with SDO high.
-pub const HIGH_ADDRESS: u8 = 0x1D;
 
 const DEVID: u8 = 0x00;
 const ACT_TAP_STATUS: u8 = 0x2B;
@@ -56,11 +54,9 @@ const SELF_TEST_G: [f64; 3] = [1.15, -1.15, 1.85];
 pub(crate) struct Adxl345 {
     address: u8,
     identity: u8,
-    registers: [u8; 0x40],
-    pointer: u8,
+    registers: Registers,
     /// How far the register advances after each byte.
     step: u8,
-    expects_register: bool,
     now: u64,
     sampling: Option<SampleClock>,
     taken: u64,
@@ -81,10 +77,8 @@ impl Adxl345 {
         let mut chip = Self {
             address,
             identity: 0xE5,
-            registers: [0; 0x40],
-            pointer: 0,
+            registers: Registers::default(),
             step: 1,
-            expects_register: false,
             now: 0,
             sampling: None,
             taken: 0,
@@ -100,11 +94,11 @@ impl Adxl345 {
     }
 
     fn register(&self, register: u8) -> u8 {
-        self.registers[usize::from(register)]
+        self.registers.get(register)
     }
 
     fn is_set(&self, register: u8, mask: u8) -> bool {
-        self.register(register) & mask != 0
+        self.registers.is_set(register, mask)
     }
 
     fn mode(&self) -> FifoMode {
@@ -238,8 +232,8 @@ impl Chip for Adxl345 {
     }
 
     fn reset(&mut self) {
-        self.registers = [0; 0x40];
-        self.registers[usize::from(BW_RATE)] = 0x0A;
+        self.registers.clear();
+        self.registers.set(BW_RATE, 0x0A);
         self.sampling = None;
         self.fifo.clear();
         self.reading = None;
@@ -253,24 +247,24 @@ impl Chip for Adxl345 {
 
     fn begin_write(&mut self, _address: u8) {
         self.end_reading();
-        self.expects_register = true;
+        self.registers.begin();
     }
 
     fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if std::mem::take(&mut self.expects_register) {
-            self.pointer = byte & 0x3F;
+        if self.registers.takes_number(byte) {
+            self.registers.pointer = byte & 0x3F;
             self.step = u8::from(address != spi::ADDRESS || byte & MULTIPLE != 0);
             return;
         }
-        let register = self.pointer;
-        self.pointer = (register + self.step) & 0x3F;
+        let register = self.registers.pointer;
+        self.registers.pointer = (register + self.step) & 0x3F;
         let read_only =
             matches!(register, DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS);
         if read_only {
             return;
         }
         let rate_before = self.rate_hz();
-        self.registers[usize::from(register)] = byte;
+        self.registers.set(register, byte);
         if register == FIFO_CTL && self.mode() == FifoMode::Bypass {
             self.fifo.clear();
             self.overrun = false;
@@ -283,8 +277,8 @@ impl Chip for Adxl345 {
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.pointer;
-        self.pointer = (register + self.step) & 0x3F;
+        let register = self.registers.pointer;
+        self.registers.pointer = (register + self.step) & 0x3F;
         match register {
             DEVID => self.identity,
             INT_SOURCE => self.interrupts(),

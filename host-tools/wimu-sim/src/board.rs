@@ -12,7 +12,6 @@ use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
-use embedded_hal_async::digital::Wait;
 use wimu_host::transport::Transport;
 use wimu_host::{Code, Result};
 use wimu_link::hello::{Capabilities, Part, board, sensor};
@@ -29,7 +28,7 @@ use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
 pub use crate::part::SensorPart;
 use crate::pipe::{Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link};
-use crate::sensor::{DataReadyPin, Sensor};
+use crate::sensor::Sensor;
 use crate::source::Source;
 use crate::storage::Storage;
 
@@ -319,7 +318,7 @@ fn boot(
         wireless.baud().map(|_| -> NearestRate { |baud| baud.clamp(300, 4_000_000) });
     let links = [(cable_reader, cable_writer), (wireless_reader, wireless_writer)];
     let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
-    let line = |device: &Sensor| Stamped { pin: device.data_ready(), timer: timer.clone() };
+    let line = |device: &Sensor| Stamped { sensor: device.clone(), timer: timer.clone() };
     let lsm303agr = |device: &Sensor| wimu_node::Lsm303agr::new(bus(), line(device), timer.clone());
     let adxl345 = |device: &Sensor| {
         let address = wimu_adxl345::Address::Low;
@@ -440,14 +439,13 @@ impl Timer for BoardTimer {
 
 /// INT1 of the sensor with the time of its rising edge, as in an interrupt handler.
 struct Stamped {
-    pin: DataReadyPin,
+    sensor: Sensor,
     timer: BoardTimer,
 }
 
 impl DataReady for Stamped {
     async fn ready(&mut self) -> Option<DeviceTimeUs> {
-        let _ = self.pin.wait_for_high().await;
-        Some(self.timer.at(self.pin.rose_us()))
+        Some(self.timer.at(self.sensor.ready().await))
     }
 }
 

@@ -37,7 +37,59 @@ impl FifoMode {
     }
 }
 
-/// The registers of a chip and their behaviour.
+/// The registers of a chip: a message begins with a register's number, data follow.
+#[derive(Clone, Debug)]
+pub(crate) struct Registers {
+    bytes: [u8; 0x80],
+    /// The register of the next byte of data.
+    pub pointer: u8,
+    /// Whether the highest bit of the register's number was set.
+    pub increments: bool,
+    expects_number: bool,
+}
+
+impl Default for Registers {
+    fn default() -> Self {
+        Self { bytes: [0; 0x80], pointer: 0, increments: false, expects_number: false }
+    }
+}
+
+impl Registers {
+    /// Content of a register, 0..=127.
+    pub(crate) fn get(&self, register: u8) -> u8 {
+        self.bytes[usize::from(register & 0x7F)]
+    }
+
+    /// Whether any bit of `mask` is set.
+    pub(crate) fn is_set(&self, register: u8, mask: u8) -> bool {
+        self.get(register) & mask != 0
+    }
+
+    pub(crate) fn set(&mut self, register: u8, content: u8) {
+        self.bytes[usize::from(register & 0x7F)] = content;
+    }
+
+    /// A message begins.
+    pub(crate) fn begin(&mut self) {
+        self.expects_number = true;
+    }
+
+    /// Whether this byte is the message's first: the number of a register.
+    pub(crate) fn takes_number(&mut self, byte: u8) -> bool {
+        let is_first = std::mem::take(&mut self.expects_number);
+        if is_first {
+            (self.pointer, self.increments) = (byte & 0x7F, byte & 0x80 != 0);
+        }
+        is_first
+    }
+
+    /// All registers are zero; the message goes on.
+    pub(crate) fn clear(&mut self) {
+        self.bytes = [0; 0x80];
+    }
+}
+
+/// The behaviour of a chip.
 pub(crate) trait Chip: fmt::Debug {
     /// Takes the samples that are due by `now` (µs).
     fn settle(&mut self, now: u64, source: &mut dyn Source);

@@ -233,7 +233,7 @@ impl FirstLight {
             calibrated_path,
             zupt_path,
             replays: replays.collect(),
-            duration_s: board.borrow().now_us() as f64 * 1e-6,
+            duration_s: host.now_s(),
             recording: host.file()?,
         })
     }

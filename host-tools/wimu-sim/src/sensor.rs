@@ -1,14 +1,10 @@
 //! A simulated sensor: its chip at register level, its interrupt line, and its removal.
 
 use std::cell::RefCell;
-use std::convert::Infallible;
 use std::future::{Future, poll_fn};
 use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
-
-use embedded_hal::digital::{ErrorType, InputPin};
-use embedded_hal_async::digital::Wait;
 
 use crate::adxl345::{self, Adxl345};
 use crate::chip::Chip;
@@ -38,12 +34,10 @@ struct State {
     watchers: Vec<Waker>,
 }
 
-/// The interrupt line: its level and its edges.
-#[derive(Clone, Copy, Debug, Default)]
+/// The interrupt line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct PinState {
     high: bool,
-    rises: u64,
-    falls: u64,
     /// Time of the last rising edge, µs.
     rose_us: u64,
 }
@@ -88,9 +82,31 @@ impl Sensor {
         }
     }
 
-    /// The interrupt line as a pin of the microcontroller.
-    pub fn data_ready(&self) -> DataReadyPin {
-        DataReadyPin { sensor: self.clone() }
+    /// Whether the interrupt line is high.
+    pub fn is_ready(&self) -> bool {
+        self.look(|state, _| state.pin.high)
+    }
+
+    /// Waits until the interrupt line is high; returns the time of its rising edge, µs on the simulation's clock. Waiting
+    /// can be cancelled at any time.
+    pub async fn ready(&self) -> u64 {
+        let mut timer = None;
+        poll_fn(|context| self.poll_ready(context, &mut timer)).await
+    }
+
+    fn poll_ready(&self, context: &mut Context<'_>, timer: &mut Option<Until>) -> Poll<u64> {
+        loop {
+            let (pin, next_change) = self.look(|state, _| (state.pin, state.next_change()));
+            if pin.high {
+                return Poll::Ready(pin.rose_us);
+            }
+            self.watch(context.waker());
+            *timer = next_change.map(|time| self.clock.until(time));
+            let timer = timer.as_mut().map(|timer| Pin::new(timer).poll(context));
+            if timer != Some(Poll::Ready(())) {
+                return Poll::Pending;
+            }
+        }
     }
 
     /// Removes the sensor from the board, or puts it back: absent, it answers at no address and its line is
@@ -138,12 +154,8 @@ impl Sensor {
             state.settle(now);
             let result = visit(state, now);
             state.update_pin(now);
-            let edges = |pin: PinState| (pin.rises, pin.falls);
-            let watchers = if edges(state.pin) != edges(before) {
-                std::mem::take(&mut state.watchers)
-            } else {
-                Vec::new()
-            };
+            let watchers =
+                if state.pin != before { std::mem::take(&mut state.watchers) } else { Vec::new() };
             (result, watchers)
         };
         watchers.into_iter().for_each(Waker::wake);
@@ -182,10 +194,7 @@ impl State {
         if high != self.pin.high {
             self.pin.high = high;
             if high {
-                self.pin.rises += 1;
                 self.pin.rose_us = now;
-            } else {
-                self.pin.falls += 1;
             }
         }
     }
@@ -214,92 +223,5 @@ impl Target for Sensor {
 
     fn read(&self, address: u8) -> u8 {
         self.look(|state, _| state.chip.read(address))
-    }
-}
-
-/// The interrupt line of the sensor as a pin of the microcontroller. Waiting can be cancelled at any time.
-#[derive(Clone, Debug)]
-pub struct DataReadyPin {
-    sensor: Sensor,
-}
-
-impl DataReadyPin {
-    fn state(&self) -> PinState {
-        self.sensor.look(|state, _| state.pin)
-    }
-
-    /// Time of the last rising edge, µs on the simulation's clock; 0 without one.
-    pub fn rose_us(&self) -> u64 {
-        self.state().rose_us
-    }
-
-    /// Waits until `reached` is true for the pin.
-    async fn until(&self, reached: impl Fn(PinState) -> bool) {
-        let mut timer = None;
-        poll_fn(|context| self.poll(context, &mut timer, &reached)).await;
-    }
-
-    fn poll(
-        &self,
-        context: &mut Context<'_>,
-        timer: &mut Option<Until>,
-        reached: impl Fn(PinState) -> bool,
-    ) -> Poll<()> {
-        loop {
-            let (pin, next_change) = self.sensor.look(|state, _| (state.pin, state.next_change()));
-            if reached(pin) {
-                return Poll::Ready(());
-            }
-            self.sensor.watch(context.waker());
-            *timer = next_change.map(|time| self.sensor.clock.until(time));
-            let timer = timer.as_mut().map(|timer| Pin::new(timer).poll(context));
-            if timer != Some(Poll::Ready(())) {
-                return Poll::Pending;
-            }
-        }
-    }
-}
-
-impl ErrorType for DataReadyPin {
-    type Error = Infallible;
-}
-
-impl InputPin for DataReadyPin {
-    fn is_high(&mut self) -> Result<bool, Infallible> {
-        Ok(self.state().high)
-    }
-
-    fn is_low(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.state().high)
-    }
-}
-
-impl Wait for DataReadyPin {
-    async fn wait_for_high(&mut self) -> Result<(), Infallible> {
-        self.until(|pin| pin.high).await;
-        Ok(())
-    }
-
-    async fn wait_for_low(&mut self) -> Result<(), Infallible> {
-        self.until(|pin| !pin.high).await;
-        Ok(())
-    }
-
-    async fn wait_for_rising_edge(&mut self) -> Result<(), Infallible> {
-        let seen = self.state().rises;
-        self.until(|pin| pin.rises > seen).await;
-        Ok(())
-    }
-
-    async fn wait_for_falling_edge(&mut self) -> Result<(), Infallible> {
-        let seen = self.state().falls;
-        self.until(|pin| pin.falls > seen).await;
-        Ok(())
-    }
-
-    async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
-        let seen = self.state();
-        self.until(|pin| (pin.rises, pin.falls) != (seen.rises, seen.falls)).await;
-        Ok(())
     }
 }

@@ -2,7 +2,6 @@
 
 use std::rc::Rc;
 
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::I2c;
 use embedded_hal_async::spi::SpiDevice;
 use wimu_adxl345::{
@@ -90,20 +89,19 @@ fn every_format_reads_one_g_upward() {
 fn the_fifo_gives_every_sample_once_and_int1_follows_the_watermark() {
     on_bench(numbered(500), async |clock, sensor, driver| {
         start(driver, Rate::Hz400, Fifo::Stream { watermark: 8 }).await?;
-        let mut line = sensor.data_ready();
-        let mut expected = 0;
+        let (mut expected, mut rose_us) = (0, 0);
         for _ in 0..20 {
-            line.wait_for_high().await.unwrap();
-            assert_eq!(line.rose_us(), clock.now(), "the line rises with the sample");
+            rose_us = sensor.ready().await;
+            assert_eq!(rose_us, clock.now(), "the line rises with the sample");
             let waiting = driver.fifo_level().await?.samples;
             assert!((8..=9).contains(&waiting), "{waiting}");
             for _ in 0..waiting {
                 assert_eq!(number(driver).await?, expected);
                 expected += 1;
             }
-            line.wait_for_low().await.unwrap();
+            assert!(!sensor.is_ready(), "the line falls with the reading");
         }
-        let period = (line.rose_us() - 1_100) as f64 / f64::from(expected);
+        let period = (rose_us - 1_100) as f64 / f64::from(expected);
         assert!((period - 2_500.0).abs() < 60.0, "{period} µs");
         Ok(())
     });
@@ -200,7 +198,7 @@ fn on_spi_the_fifo_gives_every_sample_once() {
         start(&mut driver, Rate::Hz3200, Fifo::Stream { watermark: 16 }).await?;
         let mut expected = 0;
         for _ in 0..20 {
-            sensor.data_ready().wait_for_high().await.unwrap();
+            sensor.ready().await;
             for _ in 0..driver.fifo_level().await?.samples {
                 // At this rate the lowest bit is 0.
                 assert_eq!(number(&mut driver).await?, expected & !1);

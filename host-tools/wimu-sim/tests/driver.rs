@@ -5,7 +5,6 @@ use std::rc::Rc;
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, select};
 use embedded_hal_async::delay::DelayNs;
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::{Error as _, ErrorKind, I2c, NoAcknowledgeSource};
 use lsm303agr::interface::I2cInterface;
 use lsm303agr::{
@@ -108,7 +107,7 @@ fn every_mode_and_range_reads_one_g_upward() {
             let (counts, unscaled, mg) = run!(bench, async {
                 start(&mut bench.driver, mode, AccelOutputDataRate::Hz100).await;
                 bench.driver.set_accel_scale(range).await.unwrap();
-                bench.sensor.data_ready().wait_for_high().await.unwrap();
+                bench.sensor.ready().await;
                 let read = bench.driver.acceleration().await.unwrap();
                 (read.z_raw() as i16, read.z_unscaled(), read.z_mg())
             });
@@ -159,70 +158,22 @@ fn every_rate_gives_its_samples_a_second() {
 }
 
 #[test]
-fn power_down_gives_no_new_data() {
-    let mut bench = bench(ideal(World::default()));
-    run!(bench, async {
-        bench.driver.init().await.unwrap();
-        bench.clock.until(2_000_000).await;
-        assert!(!bench.driver.accel_status().await.unwrap().xyz_new_data());
-        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
-        bench.clock.until(3_000_000).await;
-        assert!(bench.driver.accel_status().await.unwrap().xyz_new_data());
-        bench
-            .driver
-            .set_accel_mode_and_odr(&mut NoDelay, AccelMode::PowerDown, None)
-            .await
-            .unwrap();
-        let taken = bench.sensor.samples_taken();
-        bench.clock.until(4_000_000).await;
-        assert_eq!(bench.sensor.samples_taken(), taken);
-    });
-}
-
-#[test]
 fn data_ready_rises_at_each_sample_and_falls_when_it_is_read() {
     let truth = SensorTruth { period_error_ppm: -1000.0, ..SensorTruth::ideal() };
     let mut bench = bench(Physics::new(truth, Scene::new(World::default()), 1));
     let rises = run!(bench, async {
         start(&mut bench.driver, AccelMode::HighResolution, AccelOutputDataRate::Hz100).await;
-        let mut pin = bench.sensor.data_ready();
         let mut rises = Vec::new();
         for _ in 0..1001 {
-            pin.wait_for_high().await.unwrap();
+            bench.sensor.ready().await;
             rises.push(bench.clock.now());
             read_counts(&mut bench.driver).await;
-            use embedded_hal::digital::InputPin;
-            assert!(pin.is_low().unwrap());
+            assert!(!bench.sensor.is_ready());
         }
         rises
     });
     assert_eq!(rises[1000] - rises[0], 9_990_000);
     assert!(rises.windows(2).all(|pair| (9_989..=9_991).contains(&(pair[1] - pair[0]))));
-}
-
-#[test]
-fn an_edge_is_seen_by_who_waits_for_edges_while_another_reads() {
-    let mut bench = bench(ideal(World::default()));
-    let edges = run!(bench, async {
-        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz400).await;
-        let (mut rising, mut level) = (bench.sensor.data_ready(), bench.sensor.data_ready());
-        let watcher = async {
-            let mut edges = Vec::new();
-            for _ in 0..50 {
-                rising.wait_for_rising_edge().await.unwrap();
-                edges.push(bench.clock.now());
-            }
-            edges
-        };
-        let reader = async {
-            for _ in 0..50 {
-                level.wait_for_high().await.unwrap();
-                read_counts(&mut bench.driver).await;
-            }
-        };
-        join(watcher, reader).await.0
-    });
-    assert!(edges.windows(2).all(|pair| pair[1] - pair[0] == 2_500));
 }
 
 #[test]
@@ -242,32 +193,6 @@ fn a_sample_not_read_in_time_is_an_overrun_and_lost() {
         let status = bench.driver.accel_status().await.unwrap();
         assert!(!status.xyz_new_data() && !status.xyz_overrun() && !status.y_overrun());
     });
-}
-
-#[test]
-fn block_data_update_keeps_the_bytes_of_one_sample_together() {
-    // Low and high bytes differ between the samples, so that a torn value shows.
-    let samples = [0x1110_i16, 0x2220, 0x3330].map(|value| Counts([value; 3]));
-    for (block_update, expected) in [(0x80, 0x1110), (0x00, 0x2210)] {
-        let bench = bench(Replay::new(samples));
-        let mut bus = bus(&bench.clock, &bench.sensor);
-        let (torn, after) = bench.run(async {
-            let address = ACCELEROMETER_ADDRESS;
-            bus.write(address, &[0x23, block_update | 0x08]).await.unwrap();
-            bus.write(address, &[0x20, 0x57]).await.unwrap();
-            let begin = bench.clock.now();
-            bench.clock.until(begin + 15_000).await;
-            let mut byte = [[0]; 2];
-            bus.write_read(address, &[0x28], &mut byte[0]).await.unwrap();
-            bench.clock.until(begin + 25_000).await;
-            bus.write_read(address, &[0x29], &mut byte[1]).await.unwrap();
-            let mut after = [0; 2];
-            bus.write_read(address, &[0xA8], &mut after).await.unwrap();
-            let torn = i16::from_le_bytes([byte[0][0], byte[1][0]]);
-            (torn, i16::from_le_bytes(after))
-        });
-        assert_eq!((torn, after), (expected, 0x2220));
-    }
 }
 
 #[test]
@@ -309,19 +234,6 @@ fn temperature_reads_true_to_a_quarter_degree_and_to_one_at_low_power() {
         });
         assert_eq!(celsius, (-5.3_f64 / step).round() * step);
     }
-}
-
-#[test]
-fn the_magnetometer_measures_once_when_asked() {
-    let bench = bench(ideal(World::default()));
-    let mut driver = bench.driver;
-    let field = bench.clock.run(async {
-        driver.init().await.unwrap();
-        driver.magnetic_field().await.unwrap().xyz_nt()
-    });
-    // (0, 20 000, −44 000) nT in steps of 150.
-    assert_eq!(field, Ok((0, 19_950, -43_950)));
-    assert!((9_400..11_000).contains(&bench.clock.now()));
 }
 
 #[test]
@@ -369,20 +281,6 @@ fn the_magnetometer_measures_at_its_rate_in_continuous_mode() {
 }
 
 #[test]
-fn a_magnetometer_offset_register_is_subtracted() {
-    let bench = bench(ideal(World::default()));
-    let mut driver = bench.driver;
-    let mut bus = bus(&bench.clock, &bench.sensor);
-    let field = bench.clock.run(async {
-        let [low, high] = 100_i16.to_le_bytes();
-        bus.write(0x1E, &[0xC7, low, high]).await.unwrap();
-        driver.init().await.unwrap();
-        driver.magnetic_field().await.unwrap().xyz_unscaled()
-    });
-    assert_eq!(field, Ok((0, 33, -293)));
-}
-
-#[test]
 fn a_replay_passes_its_counts_bit_for_bit_and_then_falls_silent() {
     let samples: Vec<Counts> = (0..500)
         .map(|i: i32| Counts([(i * 131) as i16, (i * -77 + 5) as i16, i16::MIN + i as i16]))
@@ -392,35 +290,16 @@ fn a_replay_passes_its_counts_bit_for_bit_and_then_falls_silent() {
         let mut bench = bench(source);
         let read = run!(bench, async {
             start(&mut bench.driver, AccelMode::LowPower, AccelOutputDataRate::Hz400).await;
-            let mut pin = bench.sensor.data_ready();
             let mut read = Vec::new();
             while !bench.sensor.finished() {
-                pin.wait_for_high().await.unwrap();
+                bench.sensor.ready().await;
                 read.push(Counts(read_counts(&mut bench.driver).await));
             }
             read
         });
         assert_eq!(read, samples);
-        let mut pin = bench.sensor.data_ready();
-        assert!(bench.clock.run(pin.wait_for_high()).is_err(), "nothing is left to wait for");
+        assert!(bench.clock.run(bench.sensor.ready()).is_err(), "nothing is left to wait for");
     }
-}
-
-#[test]
-fn a_replay_that_waits_for_its_reader_loses_nothing_to_a_late_one() {
-    let samples: Vec<Counts> = (0..50).map(|i| Counts([i, -i, 3 * i])).collect();
-    let mut bench = bench(Replay::new(samples.clone()).waiting_for_reader());
-    let read = run!(bench, async {
-        start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz400).await;
-        let mut read = Vec::new();
-        while !bench.sensor.finished() {
-            bench.clock.until(bench.clock.now() + 13_000).await;
-            assert!(!bench.driver.accel_status().await.unwrap().xyz_overrun());
-            read.push(Counts(read_counts(&mut bench.driver).await));
-        }
-        read
-    });
-    assert_eq!(read, samples);
 }
 
 #[test]
@@ -432,10 +311,9 @@ fn the_same_seed_gives_the_same_samples_and_another_does_not() {
         let mut bench = bench(Physics::new(truth, scene, seed));
         run!(bench, async {
             start(&mut bench.driver, AccelMode::HighResolution, AccelOutputDataRate::Hz200).await;
-            let mut pin = bench.sensor.data_ready();
             let mut read = Vec::new();
             for _ in 0..1000 {
-                pin.wait_for_high().await.unwrap();
+                bench.sensor.ready().await;
                 read.push((bench.clock.now(), read_counts(&mut bench.driver).await));
             }
             read
@@ -461,18 +339,17 @@ fn an_absent_sensor_acknowledges_nothing_and_comes_back_without_its_settings() {
         bench.clock.until(bench.clock.now() + 1_000_000).await;
         assert_eq!(bench.sensor.samples_taken(), taken);
         start(&mut bench.driver, AccelMode::Normal, AccelOutputDataRate::Hz100).await;
-        bench.sensor.data_ready().wait_for_high().await.unwrap();
+        bench.sensor.ready().await;
     });
 }
 
 #[test]
 fn a_waiting_pin_learns_that_the_sensor_was_started_later() {
     let mut bench = bench(ideal(World::default()));
-    let mut pin = bench.sensor.data_ready();
     run!(bench, async {
         join(
             async {
-                pin.wait_for_rising_edge().await.unwrap();
+                bench.sensor.ready().await;
             },
             async {
                 bench.clock.until(500_000).await;

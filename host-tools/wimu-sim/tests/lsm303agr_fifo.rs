@@ -2,7 +2,6 @@
 
 use std::rc::Rc;
 
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::i2c::I2c;
 use wimu_model::Counts;
 use wimu_sim::clock::VirtualClock;
@@ -107,10 +106,8 @@ fn every_sample_is_given_once_and_one_burst_gives_several() {
 #[test]
 fn the_line_is_high_while_more_wait_than_the_threshold() {
     on_bench(STREAM | 7, async |bench| {
-        let mut line = bench.sensor.data_ready();
         for round in 0..5 {
-            line.wait_for_high().await.expect("a pin");
-            assert_eq!(line.rose_us(), bench.clock.now());
+            assert_eq!(bench.sensor.ready().await, bench.clock.now());
             assert_eq!(bench.source().await, ABOVE | 8);
             bench.numbers::<6>().await;
             assert_eq!(bench.source().await, 7);

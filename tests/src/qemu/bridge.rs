@@ -18,8 +18,6 @@ use std::pin::pin;
 use std::rc::Rc;
 
 use embassy_futures::select::select;
-use embedded_hal::digital::InputPin;
-use embedded_hal_async::digital::Wait as _;
 use embedded_hal_async::i2c::{I2c, Operation};
 
 use wimu_sim::clock::VirtualClock;
@@ -168,7 +166,6 @@ impl Bridge {
     /// tell the board once its wait is over. Without a wait nothing happens.
     pub fn pass_time(&mut self, limit_us: u64) -> Option<[u8; 5]> {
         let wait = self.wait?;
-        let mut pin = self.sensor.data_ready();
         let over = async {
             let deadline = async {
                 match wait.deadline_us {
@@ -177,7 +174,7 @@ impl Bridge {
                 }
             };
             if wait.watches {
-                let _ = select(pin.wait_for_high(), deadline).await;
+                let _ = select(self.sensor.ready(), deadline).await;
             } else {
                 deadline.await;
             }
@@ -197,8 +194,7 @@ impl Bridge {
 
     /// Data-ready in bit 0; the other pins are pulled up.
     fn port(&self) -> u8 {
-        let high = self.sensor.data_ready().is_high();
-        0xFE | u8::from(high == Ok(true))
+        0xFE | u8::from(self.sensor.is_ready())
     }
 
     fn obey(&mut self, message: Message, answers: &mut Vec<u8>) {

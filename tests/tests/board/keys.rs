@@ -253,14 +253,13 @@ fn a_write_to_flash_is_announced_on_both_links_before_it_begins() {
 
 #[test]
 fn no_recording_holds_a_key() {
-    use wimu_host::live::Tap;
-
     let board = start();
-    let tap = Tap::on(SimLink::new(&board, CABLE));
-    let mut cable = Client::connect(tap, "the board", ConnectOptions::default()).expect("a board");
+    let options = ConnectOptions { keep_data: true, ..ConnectOptions::default() };
+    let link = SimLink::new(&board, CABLE);
+    let mut cable = Client::connect(link, "the board", options).expect("a board");
     cable.set_key(KEY).expect("set");
     cable.set_key(OTHER).expect("rotated");
-    let all = format!("{:?}", cable.transport().take());
+    let all = format!("{:?}", cable.take_data());
     for byte in [0x11, 0x22] {
         let run = format!("{byte}, {byte}, {byte}, {byte}");
         assert!(!all.contains(&run));

@@ -190,8 +190,8 @@ impl<T: Transport> Client<T> {
         self.pauses_left = MAX_PAUSES;
         self.wait_while_deaf()?;
         self.answer = None;
-        let frame = self.requester.start(command, self.transport.now());
-        self.transport.write_all(frame)?;
+        let frame = self.requester.start(command, self.transport.now()).to_vec();
+        self.send(&frame)?;
         loop {
             if let Some(answer) = self.answer.take() {
                 return Ok(answer);
@@ -202,7 +202,7 @@ impl<T: Transport> Client<T> {
                 Next::Send(frame) => {
                     let frame = frame.to_vec();
                     self.wait_while_deaf()?;
-                    self.transport.write_all(&frame)?;
+                    self.send(&frame)?;
                     continue;
                 }
                 Next::Idle | Next::TimedOut => {
@@ -385,14 +385,15 @@ impl<T: Transport> Client<T> {
 
     /// Requests the board's time without waiting: the answer is an event, for a
     /// [`ClockEstimator`](crate::clock::ClockEstimator). The request is padded with zeros to the length of its answer,
-    /// so that both take equally long on the line.
+    /// so that both take equally long on the line. Returns the time before sending, ns, and the data; `None` while the
+    /// device does not receive.
     ///
     /// # Errors
     /// `link_lost`.
-    pub fn ask_time(&mut self) -> Result<()> {
+    pub fn ask_time(&mut self) -> Result<Option<(u64, Vec<u8>)>> {
         let now = self.transport.now();
         if now < self.deaf_until {
-            return Ok(());
+            return Ok(None);
         }
         let frame = self.requester.start(Command::GetTime, now);
         if self.time_bytes == 0 {
@@ -401,7 +402,7 @@ impl<T: Transport> Client<T> {
         }
         let mut question = vec![0; self.time_bytes.saturating_sub(frame.len())];
         question.extend_from_slice(frame);
-        self.transport.write_all(&question)
+        Ok(Some((self.send(&question)?, question)))
     }
 
     /// Erases parameters and settings of the board.

@@ -14,12 +14,12 @@ use super::recording::Recording;
 use super::state::{self, BoardState};
 use super::topics::{Content, Name, topic};
 use super::{Batch, lock};
-use crate::client::{Client, ConnectOptions};
+use crate::client::{Client, ConnectOptions, nanoseconds};
 use crate::clock::ClockEstimator;
 use crate::decode::{Arrival, Event};
-use crate::live::{LiveClient, Tap, Tapped, nanoseconds};
+use crate::live::LiveClient;
 use crate::mcap_file::Recorded;
-use crate::transport::{self, Transport, now};
+use crate::transport::{self, now};
 use crate::{LinkUrl, Problem, Result};
 
 /// Longest wait for data before commands and the stop flag are checked; and while a client waits for answers.
@@ -130,16 +130,16 @@ impl Bridge {
 
     /// Opens the link and greets the board.
     fn open(&mut self, client: &mut Option<LiveClient>) -> Result<()> {
-        let tap = Tap::on(transport::open(&self.link)?);
+        let transport = transport::open(&self.link)?;
         match client {
             Some(client) => {
-                client.resume(tap)?;
+                client.resume(transport)?;
                 self.state.reconnections += 1;
                 self.shared.note(format!("{}: connected again", self.name));
             }
             None => {
-                *client =
-                    Some(Client::connect(tap, &self.link.to_string(), ConnectOptions::default())?)
+                let options = ConnectOptions { keep_data: true, ..ConnectOptions::default() };
+                *client = Some(Client::connect(transport, &self.link.to_string(), options)?);
             }
         }
         if let Some(client) = client {
@@ -166,9 +166,8 @@ impl Bridge {
             let at = now();
             if at >= time_at {
                 time_at = at + ASK_TIME[usize::from(at > began + CLOCK_SETTLES)];
-                client.ask_time()?;
-                if let Some(Tapped::Sent { host_ns, bytes }) = client.transport().last() {
-                    self.clock.asked(*host_ns, &bytes.clone());
+                if let Some((host_ns, question)) = client.ask_time()? {
+                    self.clock.asked(host_ns, &question);
                 }
             }
             if at >= self.who_at {
@@ -207,7 +206,7 @@ impl Bridge {
                         self.asked = Some(now());
                     }
                     self.state.commands += 1;
-                    client.transport().write_all(&message)?;
+                    client.send(&message)?;
                 }
                 Err(_) => self.state.commands_refused += 1,
             }
@@ -236,9 +235,7 @@ impl Bridge {
 
     /// Records and batches what passed over the link.
     fn keep(&mut self, client: &mut LiveClient) {
-        let role = client.hello().role;
-        let entries = client.transport().take().into_iter();
-        let entries: Vec<_> = entries.map(|entry| entry.of(role)).collect();
+        let entries = client.take_data();
         for entry in &entries {
             if let Recorded::Received(received) = entry {
                 self.state.last_seen_utc_s = Some(self.shared.utc_s(received.host_ns));

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::gateway::Shared;
-use crate::live::nanoseconds;
+use crate::client::nanoseconds;
 use crate::mcap_file::{Recorded, RecordingWriter};
 use crate::transport::now;
 use crate::{Code, Problem, Result};

@@ -12,7 +12,7 @@ use crate::Result;
 use crate::calibration::{self, CalibrateOptions, CalibrationReport};
 use crate::client::Client;
 use crate::decode::Arrival;
-use crate::live::Heard;
+use crate::live::LinkUpdate;
 use crate::problem;
 use crate::recording::{Recording, Selection};
 use crate::stats::norm;
@@ -164,7 +164,7 @@ impl Guided {
     }
 
     /// Takes what a link has received; returns whether a pose was captured.
-    pub fn take(&mut self, heard: &Heard) -> bool {
+    pub fn take(&mut self, heard: &LinkUpdate) -> bool {
         self.view.lost = heard.lost.as_ref().map(|error| error.text.clone());
         self.take_arrivals(&heard.arrivals)
     }

@@ -7,7 +7,7 @@ use wimu_model::DeviceTimeUs;
 
 use crate::clock::ClockModel;
 use crate::decode::{Arrival, Event};
-use crate::live::Heard;
+use crate::live::LinkUpdate;
 
 /// Span of rates and latencies, ns.
 const SPAN_NS: u64 = 5_000_000_000;
@@ -55,7 +55,7 @@ pub struct Traffic {
 
 impl Traffic {
     /// Takes what the link has received.
-    pub fn take(&mut self, heard: &Heard) {
+    pub fn take(&mut self, heard: &LinkUpdate) {
         self.clock = heard.clock.clone().or(self.clock.take());
         for arrival in &heard.arrivals {
             self.note(arrival);

@@ -14,7 +14,7 @@ mod fifo;
 
 use wimu_model::Counts;
 
-use crate::chip::{Chip, GyroscopeFault};
+use crate::chip::{Chip, GyroscopeFault, Registers};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
@@ -62,9 +62,7 @@ pub(crate) struct Lsm6dso {
     address: u8,
     identity: u8,
     fault: GyroscopeFault,
-    registers: Vec<u8>,
-    pointer: u8,
-    expects_register: bool,
+    registers: Registers,
     now: u64,
     reset_until: u64,
     gyroscope_on_us: u64,
@@ -93,11 +91,11 @@ impl Lsm6dso {
     }
 
     fn register(&self, register: u8) -> u8 {
-        self.registers[usize::from(register)]
+        self.registers.get(register)
     }
 
     fn is_set(&self, register: u8, mask: u8) -> bool {
-        self.register(register) & mask != 0
+        self.registers.is_set(register, mask)
     }
 
     /// Rate codes of the gyroscope and the accelerometer, 0 while one is off.
@@ -264,9 +262,9 @@ impl Chip for Lsm6dso {
     }
 
     fn reset(&mut self) {
-        self.registers = vec![0; 0x80];
-        self.registers[usize::from(CTRL3_C)] = IF_INC;
-        self.registers[usize::from(CTRL9_XL)] = 0xE0;
+        self.registers.clear();
+        self.registers.set(CTRL3_C, IF_INC);
+        self.registers.set(CTRL9_XL, 0xE0);
         self.sampling = None;
         self.output = [0; 7];
         self.fresh = 0;
@@ -279,16 +277,15 @@ impl Chip for Lsm6dso {
     }
 
     fn begin_write(&mut self, _address: u8) {
-        self.expects_register = true;
+        self.registers.begin();
     }
 
     fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if std::mem::take(&mut self.expects_register) {
-            self.pointer = byte & 0x7F;
+        if self.registers.takes_number(byte) {
             return;
         }
-        let register = self.pointer;
-        self.pointer = self.after(register);
+        let register = self.registers.pointer;
+        self.registers.pointer = self.after(register);
         let read_only = matches!(
             register,
             WHO_AM_I | ALL_INT_SRC..=OUTZ_H_A | FIFO_STATUS1 | FIFO_STATUS2 | FIFO_TAG..
@@ -297,7 +294,7 @@ impl Chip for Lsm6dso {
             return;
         }
         let codes = self.codes();
-        self.registers[usize::from(register)] = byte;
+        self.registers.set(register, byte);
         match register {
             CTRL3_C if byte & SW_RESET != 0 => {
                 self.reset();
@@ -318,8 +315,8 @@ impl Chip for Lsm6dso {
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.pointer;
-        self.pointer = self.after(register);
+        let register = self.registers.pointer;
+        self.registers.pointer = self.after(register);
         match register {
             _ if self.is_hidden(register) => 0,
             WHO_AM_I => self.identity,

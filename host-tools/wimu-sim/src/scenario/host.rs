@@ -10,7 +10,6 @@ use wimu_host::Result;
 use wimu_host::capture::Capture;
 use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::decode::{Decoder, Event};
-use wimu_host::live::Tap;
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
 use wimu_link::LinkRole;
@@ -70,9 +69,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     /// # Errors
     /// Those of [`Client::connect`]; an error of the board.
     pub fn restart(&mut self) -> Result<()> {
-        while self.cable.next_event(Duration::ZERO)?.is_some() {}
-        while self.wireless.next_event(Duration::ZERO)?.is_some() {}
-        self.keep();
+        self.keep()?;
         self.board.borrow_mut().restart()?;
         self.start += 1;
         *self.ends.borrow_mut() = Ends::of(self.board);
@@ -96,17 +93,17 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
         while self.now_s() < end_s {
             self.cable.next_event(Duration::from_millis(20))?;
             while self.wireless.next_event(Duration::ZERO)?.is_some() {}
-            self.keep();
         }
         Ok(())
     }
 
-    /// Stores the data of both links for the recording.
-    fn keep(&mut self) {
-        for (role, link) in ROLES.into_iter().zip(&mut self.ends.borrow_mut().links) {
-            let tapped = link.take().into_iter();
-            self.heard.extend(tapped.map(|entry| entry.of(role)));
+    /// Stores the data of both links so far for the recording.
+    fn keep(&mut self) -> Result<()> {
+        for client in [&mut self.cable, &mut self.wireless] {
+            while client.next_event(Duration::ZERO)?.is_some() {}
+            self.heard.extend(client.take_data());
         }
+        Ok(())
     }
 
     /// The recording so far, as an MCAP file.
@@ -114,7 +111,7 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     /// # Errors
     /// Those of writing a recording.
     pub fn file(&mut self) -> Result<Vec<u8>> {
-        self.keep();
+        self.keep()?;
         self.heard.sort_by_key(Recorded::host_ns);
         let anchor = ClockAnchor { monotonic_ns: 0, utc_ns: 0 };
         let sink = Cursor::new(Vec::new());
@@ -158,28 +155,27 @@ fn client<'a, R: VirtualBoard>(
     let options = ConnectOptions {
         // Not random: the same bytes in every run.
         session: Some(1),
+        keep_data: true,
         ..ConnectOptions::default()
     };
-    let end = End { ends: Rc::clone(ends), link: usize::from(role != LinkRole::Cable) };
+    let link = usize::from(role != LinkRole::Cable);
+    let end = End { ends: Rc::clone(ends), link, received_at: Duration::ZERO };
     Client::connect(end, &format!("the simulated {role} link"), options)
 }
 
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
 
-/// The host's ends of both links. Waiting on one reads both, so that each byte is recorded
-/// when it arrives.
+/// The host's ends of both links. Waiting on one reads both, so that each byte has the time of
+/// its arrival.
 struct Ends<'a, R> {
-    links: [Tap<SimLink<'a, R>>; 2],
-    /// Arrived, not yet read.
-    arrived: [VecDeque<u8>; 2],
+    links: [SimLink<'a, R>; 2],
+    /// Arrived, not yet read, with the times.
+    arrived: [VecDeque<(Duration, Vec<u8>)>; 2],
 }
 
 impl<'a, R: VirtualBoard> Ends<'a, R> {
     fn of(board: &'a RefCell<R>) -> Self {
-        Self {
-            links: ROLES.map(|role| Tap::on(SimLink::new(board, role))),
-            arrived: Default::default(),
-        }
+        Self { links: ROLES.map(|role| SimLink::new(board, role)), arrived: Default::default() }
     }
 
     /// Reads both links until there are data for `link`, for `timeout` at most.
@@ -192,7 +188,10 @@ impl<'a, R: VirtualBoard> Ends<'a, R> {
                 let wait = if index == link && waits { left.min(TICK) } else { Duration::ZERO };
                 let mut buffer = [0; 4096];
                 match end.read(&mut buffer, wait) {
-                    Ok(count) => self.arrived[index].extend(&buffer[..count]),
+                    Ok(0) => {}
+                    Ok(count) => {
+                        self.arrived[index].push_back((end.now(), buffer[..count].to_vec()));
+                    }
                     // An error of the other link is reported when that is read.
                     Err(error) if index == link && waits => return Err(error),
                     Err(_) => {}
@@ -212,6 +211,8 @@ const TICK: Duration = Duration::from_millis(1);
 pub struct End<'a, R> {
     ends: Rc<RefCell<Ends<'a, R>>>,
     link: usize,
+    /// Of the latest data read.
+    received_at: Duration,
 }
 
 impl<R: VirtualBoard> Transport for End<'_, R> {
@@ -219,11 +220,16 @@ impl<R: VirtualBoard> Transport for End<'_, R> {
         let mut ends = self.ends.borrow_mut();
         ends.listen(self.link, timeout)?;
         let arrived = &mut ends.arrived[self.link];
-        let count = arrived.len().min(buffer.len());
-        for (place, byte) in buffer.iter_mut().zip(arrived.drain(..count)) {
-            *place = byte;
+        let Some((at, mut bytes)) = arrived.pop_front() else {
+            return Ok(0);
+        };
+        self.received_at = at;
+        let rest = bytes.split_off(bytes.len().min(buffer.len()));
+        buffer[..bytes.len()].copy_from_slice(&bytes);
+        if !rest.is_empty() {
+            arrived.push_front((at, rest));
         }
-        Ok(count)
+        Ok(bytes.len())
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<()> {
@@ -232,6 +238,10 @@ impl<R: VirtualBoard> Transport for End<'_, R> {
 
     fn now(&self) -> Duration {
         self.ends.borrow().links[self.link].now()
+    }
+
+    fn received_at(&self) -> Duration {
+        self.received_at
     }
 
     fn baud(&self) -> Option<u32> {

@@ -11,7 +11,6 @@ use wimu_host::client::{Client, ConnectOptions};
 use wimu_host::clock::{ClockEstimator, ClockModel, Pace};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::live::{Tap, Tapped};
 use wimu_host::mcap_file::{ClockAnchor, Recorded, RecordingReader, RecordingWriter};
 use wimu_host::transport::Transport;
 use wimu_host::{Problem, Result};
@@ -57,11 +56,12 @@ impl Default for Session {
     }
 }
 
-type LinkClient<'a> = Client<Tap<SimLink<'a>>>;
+type LinkClient<'a> = Client<SimLink<'a>>;
 
 fn client(board: &RefCell<Board>, role: LinkRole) -> LinkClient<'_> {
-    let options = ConnectOptions { session: Some(7), patience: Duration::from_secs(20) };
-    Client::connect(Tap::on(SimLink::new(board, role)), "the link", options).unwrap()
+    let patience = Duration::from_secs(20);
+    let options = ConnectOptions { session: Some(7), patience, keep_data: true };
+    Client::connect(SimLink::new(board, role), "the link", options).unwrap()
 }
 
 /// As `wimu record` does: asks at the pace that the answers tell.
@@ -118,18 +118,18 @@ impl Session {
                         listen(listener, *role, board.borrow().now_us(), &arrival);
                     }
                     let now = client.transport().now();
-                    let mut tapped = client.transport().take();
+                    let mut passed = client.take_data();
                     if listener.0.is_due(now) {
                         client.ask_time().unwrap();
                         listener.0.asked(now);
-                        tapped.extend(client.transport().take());
+                        passed.extend(client.take_data());
                     }
-                    for entry in &tapped {
-                        if let Tapped::Sent { host_ns, bytes } = entry {
+                    for entry in &passed {
+                        if let Recorded::Sent { host_ns, bytes, .. } = entry {
                             listener.1.asked(*host_ns, bytes);
                         }
                     }
-                    entries.extend(tapped.into_iter().map(|entry| entry.of(*role)));
+                    entries.extend(passed);
                 }
             }
         }

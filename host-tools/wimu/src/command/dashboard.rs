@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 use serde::Deserialize;
 use serde_json::json;
-use wimu_host::live::{LiveClient, Tap};
+use wimu_host::live::LiveClient;
 use wimu_host::serve::lock;
 use wimu_host::transport;
 use wimu_host::{Code, Input, LinkUrl, Problem, Result, client};
@@ -216,7 +216,7 @@ impl Desk {
                 match outcome {
                     Ok((url, client)) => {
                         lock(&desk.waiting).remove(&name);
-                        desk.seat(url, client.map_transport(Tap::on));
+                        desk.seat(url, client);
                         break;
                     }
                     Err(error) => {

@@ -11,7 +11,7 @@ use wimu_host::allan::NoiseMeter;
 use wimu_host::clock::Pace;
 use wimu_host::decode::Event;
 use wimu_host::guided::Guided;
-use wimu_host::live::{Heard, LiveClient, LiveLinks};
+use wimu_host::live::{LinkUpdate, LiveClient, LiveLinks};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
 use wimu_host::monitor::{LinkHealth, Reading, Readings, Traffic};
 use wimu_host::{LinkUrl, Result, calibration, transport};
@@ -43,7 +43,10 @@ pub enum Feed {
 }
 
 impl Feed {
-    fn next(&mut self, timeout: Duration) -> std::result::Result<(usize, Heard), RecvTimeoutError> {
+    fn next(
+        &mut self,
+        timeout: Duration,
+    ) -> std::result::Result<(usize, LinkUpdate), RecvTimeoutError> {
         match self {
             Self::Live(links) => links.next(timeout),
             Self::Replay(player) => player.next(timeout),
@@ -168,7 +171,7 @@ impl Board {
         }
     }
 
-    fn take(&mut self, index: usize, heard: &Heard) {
+    fn take(&mut self, index: usize, heard: &LinkUpdate) {
         if let Some((_, writer)) = &mut self.writer {
             let written = heard.entries.iter().try_for_each(|entry| writer.record(entry));
             if let Err(error) = written {

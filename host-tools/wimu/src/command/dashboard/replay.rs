@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use wimu_host::Result;
 use wimu_host::decode::Decoder;
-use wimu_host::live::Heard;
+use wimu_host::live::LinkUpdate;
 use wimu_host::mcap_file::{Received, RecordingReader};
 use wimu_link::LinkRole;
 
@@ -78,7 +78,7 @@ impl Player {
     pub fn next(
         &mut self,
         timeout: Duration,
-    ) -> std::result::Result<(usize, Heard), RecvTimeoutError> {
+    ) -> std::result::Result<(usize, LinkUpdate), RecvTimeoutError> {
         let elapsed = self.clock.elapsed().as_secs_f64();
         self.clock = Instant::now();
         if !self.view.paused && !self.view.over {
@@ -111,7 +111,7 @@ impl Player {
         self.links.iter().map(|(role, _)| *role)
     }
 
-    fn decoded(&mut self, received: &Received) -> (usize, Heard) {
+    fn decoded(&mut self, received: &Received) -> (usize, LinkUpdate) {
         let known = self.links.iter().position(|(role, _)| *role == received.role);
         let index = known.unwrap_or_else(|| {
             self.links.push((received.role, Decoder::new()));
@@ -120,7 +120,8 @@ impl Player {
         let decoder = &mut self.links[index].1;
         let mut arrivals = Vec::new();
         decoder.push(received.host_ns, &received.bytes, |arrival| arrivals.push(arrival));
-        let heard = Heard { arrivals, statistics: decoder.statistics(), ..Heard::default() };
+        let heard =
+            LinkUpdate { arrivals, statistics: decoder.statistics(), ..LinkUpdate::default() };
         (index, heard)
     }
 }

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use wimu_nav::nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Navigator, Profile, Sample, Settings, Start};
 use wimu_nav::stance::stances;
-use wimu_nav::stationarity::{Detector, Stationarity};
+use wimu_nav::stationarity::{RestDetector, RestLimits};
 
 const STEP_S: f64 = 0.005;
 const STRIDES: usize = 40;
@@ -53,7 +53,7 @@ fn samples() -> Vec<Sample> {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let samples = samples();
     // The statistic of the window about each sample: the detector answers for its middle.
-    let mut detector = Stationarity::new(Detector::foot());
+    let mut detector = RestDetector::new(RestLimits::foot());
     let lag = (detector.lag_s() / STEP_S).round() as usize;
     let mut statistic: Vec<f64> = (samples.iter())
         .map(|s| {

@@ -1,7 +1,7 @@
 //! Stances of a foot, and the velocity of a sensor on it meanwhile: equations (157) and (158).
 //!
-//! How still a foot is in a stance depends on the gait: the statistic of [`Stationarity`](crate::stationarity::Stationarity)
-//! with [`Detector::foot`](crate::stationarity::Detector::foot) is 0.01 in slow walking, 20 in running. The thresholds
+//! How still a foot is in a stance depends on the gait: the statistic of [`RestDetector`](crate::stationarity::RestDetector)
+//! with [`RestLimits::foot`](crate::stationarity::RestLimits::foot) is 0.01 in slow walking, 20 in running. The thresholds
 //! follow its minima.
 
 use core::ops::Range;

@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 /// Settings of the detector. The defaults were chosen on BROAD (score_navigation).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct Detector {
+pub struct RestLimits {
     /// Length of the window, s.
     pub window_s: f64,
     /// Standard deviation of the specific force about its mean, m/s², a component.
@@ -35,7 +35,7 @@ pub struct Detector {
     pub gravity_mps2: f64,
 }
 
-impl Detector {
+impl RestLimits {
     /// For [`stances`](crate::stance::stances) of a foot: 2 m/s², 10 °/s. Window and ratio of the deviations are those of
     /// B. Wagstaff, V. Peretroukhin, J. Kelly, "Robust data-driven zero-velocity detection for foot-mounted inertial
     /// navigation", IEEE Sensors J. 20, 2020.
@@ -77,7 +77,7 @@ impl Detector {
     }
 }
 
-impl Default for Detector {
+impl Default for RestLimits {
     fn default() -> Self {
         Self {
             window_s: 0.25,
@@ -131,8 +131,8 @@ impl Sums {
 /// The detector, sample by sample. The answer is that of the window that ends with the sample: a caller who can wait
 /// pushes samples [`lag_s`](Self::lag_s) ahead and so has the answer of a centred window.
 #[derive(Clone, Debug)]
-pub struct Stationarity {
-    settings: Detector,
+pub struct RestDetector {
+    settings: RestLimits,
     parts: [Sums; PARTS],
     current: Sums,
     /// Parts that are filled.
@@ -140,9 +140,9 @@ pub struct Stationarity {
     statistic: Option<f64>,
 }
 
-impl Stationarity {
+impl RestDetector {
     /// A detector without samples.
-    pub fn new(settings: Detector) -> Self {
+    pub fn new(settings: RestLimits) -> Self {
         Self {
             settings,
             parts: [Sums::zero(); PARTS],

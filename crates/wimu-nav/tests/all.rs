@@ -14,5 +14,4 @@ mod ranges;
 mod smoother;
 mod stance;
 mod stationarity;
-mod track;
 mod vehicle;

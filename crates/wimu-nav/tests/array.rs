@@ -4,7 +4,7 @@ use crate::common;
 
 use common::{Random, dot, minus, norm, outputs};
 use proptest::prelude::*;
-use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Roots, Triad};
+use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Linear, Roots, Triad};
 use wimu_testkit::{draws, figure, rms_ratio_can_be, trials};
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
@@ -202,35 +202,38 @@ fn dead_and_saturated_triads_are_dropped_and_said() {
         outputs(&octahedron(), rate, [1.0, 2.0, 3.0], [0.0, 0.0, 9.8])
             .map(|y| y + 0.01 * random.normal())
     };
-    let good = |solution: &wimu_nav::array::Solution<f64>| {
+    let good = |array: &Array<f64, 18>, linear: &Linear<f64>| {
+        let solution = array.solver().roots_of(linear);
         norm(minus(solution.nearest(rate).unwrap().rate_rad_s, rate)) < 1.0
     };
-    let update = array.update(&sample(&mut random)).unwrap();
-    assert!(update.dropped.all() == 0 && good(&update.solution));
+    let (linear, dropped) = array.reduce(&sample(&mut random)).unwrap();
+    assert!(dropped.all() == 0 && good(&array, &linear));
 
     let mut y = sample(&mut random);
     y[4] = 150.0;
     y[9] = f64::NAN;
-    let update = array.update(&y).unwrap();
-    assert_eq!((update.dropped.saturated, update.dropped.dead), (1 << 1, 1 << 3));
-    assert!(good(&update.solution));
+    let (linear, dropped) = array.reduce(&y).unwrap();
+    assert_eq!((dropped.saturated, dropped.dead), (1 << 1, 1 << 3));
+    assert!(good(&array, &linear));
 
     // One that hangs is dead after a while, and alive again when it moves.
-    for _ in 0..70 {
+    let mut hanging = |array: &mut Array<f64, 18>| {
         let mut y = sample(&mut random);
         y[0] = 1.25;
-        array.update(&y).unwrap();
+        array.reduce(&y).unwrap()
+    };
+    for _ in 0..70 {
+        hanging(&mut array);
     }
-    let mut y = sample(&mut random);
-    y[0] = 1.25;
-    let update = array.update(&y).unwrap();
-    assert_eq!(update.dropped.dead, 1);
-    assert!(good(&update.solution));
-    assert_eq!(array.update(&sample(&mut random)).unwrap().dropped.all(), 0);
+    let (linear, dropped) = hanging(&mut array);
+    assert_eq!(dropped.dead, 1);
+    assert!(good(&array, &linear));
+    assert_eq!(array.reduce(&sample(&mut random)).unwrap().1.all(), 0);
 
     let nothing = [f64::NAN; 18];
-    assert_eq!(array.update(&nothing).unwrap_err(), GeometryError::TooFew { have: 0, need: 6 });
-    assert!(good(&array.update(&sample(&mut random)).unwrap().solution));
+    assert_eq!(array.reduce(&nothing).unwrap_err(), GeometryError::TooFew { have: 0, need: 6 });
+    let (linear, _) = array.reduce(&sample(&mut random)).unwrap();
+    assert!(good(&array, &linear));
 }
 
 #[test]
@@ -275,7 +278,7 @@ proptest! {
     ) {
         let mut array = Array::<f64, 18>::new(octahedron(), 150.0).unwrap();
         let y = <[f64; 18]>::try_from(values).unwrap();
-        let _ = array.update(&y);
+        let _ = array.reduce(&y);
         let _ = ArraySolver::<f32, 18>::new(&octahedron()).unwrap().solve(&y.map(|v| v as f32));
     }
 }

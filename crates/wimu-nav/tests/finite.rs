@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Rests, Sample, Settings, Start};
-use wimu_nav::stationarity::{Detector, Stationarity};
+use wimu_nav::stationarity::{RestDetector, RestLimits};
 use wimu_testkit::{Lane, Random};
 
 /// A stretch of motion, in which every sample has a direction of its own.
@@ -81,7 +81,7 @@ fn samples(seed: u64, all: &[Stretch]) -> Vec<Sample> {
 fn of_unit(settings: Settings, samples: &[Sample]) -> Result<u32, TestCaseError> {
     let start = Start::align(&samples[..50], true).expect("the first stretch is a rest");
     let mut navigator = Navigator::new(settings, &start);
-    let mut detector = Stationarity::new(Detector::default());
+    let mut detector = RestDetector::new(RestLimits::default());
     for sample in samples {
         let rate = sample.rate_rad_s.as_ref();
         let rest = detector.push(&sample.force_mps2, rate, sample.step_s);

@@ -6,7 +6,7 @@ use common::Random;
 use common::travel::Travel;
 use nalgebra::Vector3;
 use wimu_nav::stance::stances;
-use wimu_nav::stationarity::{Detector, Stationarity};
+use wimu_nav::stationarity::{RestDetector, RestLimits};
 
 /// Statistics at 100 Hz: standing for 3 s, then steps of a swing and a stance.
 fn walk(steps: usize, swing: &[f64], stance: &[f64]) -> Vec<f64> {
@@ -70,7 +70,7 @@ fn a_stance_is_found_between_strides() {
     let travel = (0..5).fold(Travel::rest(), |travel, k| {
         travel.leg(1.0 + 1.2 * f64::from(k), 0.6, [1.2, 0.0, 0.0], [0.0, 0.8, 0.0])
     });
-    let mut detector = Stationarity::new(Detector::foot());
+    let mut detector = RestDetector::new(RestLimits::foot());
     let mut random = Random::new(24);
     let statistic: Vec<f64> = (0..1200)
         .map(|k| {

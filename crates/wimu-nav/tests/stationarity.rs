@@ -6,7 +6,7 @@ use common::Random;
 use common::travel::Travel;
 use nalgebra::Vector3;
 use wimu_nav::GRAVITY_MPS2;
-use wimu_nav::stationarity::{Detector, Stationarity};
+use wimu_nav::stationarity::{RestDetector, RestLimits};
 
 fn force(travel: &Travel, t: f64, random: &mut Random) -> (Vector3<f64>, Vector3<f64>) {
     let [force, rate] = travel.sensed(t);
@@ -16,7 +16,7 @@ fn force(travel: &Travel, t: f64, random: &mut Random) -> (Vector3<f64>, Vector3
 /// Decision at each sample of a motion.
 fn decisions(travel: &Travel, rate_hz: f64, until_s: f64, seed: u64) -> Vec<(f64, bool)> {
     let mut random = Random::new(seed);
-    let mut detector = Stationarity::new(Detector::default());
+    let mut detector = RestDetector::new(RestLimits::default());
     (0..=(until_s * rate_hz) as usize)
         .map(|k| {
             let t = k as f64 / rate_hz;
@@ -29,11 +29,11 @@ fn decisions(travel: &Travel, rate_hz: f64, until_s: f64, seed: u64) -> Vec<(f64
 #[test]
 fn at_rest_the_statistic_has_its_expectation() {
     let mut random = Random::new(21);
-    let settings = Detector::default();
+    let settings = RestLimits::default();
     for (rate_hz, gyroscope) in [(100.0, true), (400.0, true), (100.0, false)] {
         let (mut sum, windows) = (0.0, 2000);
         for _ in 0..windows {
-            let mut detector = Stationarity::new(settings);
+            let mut detector = RestDetector::new(settings);
             let gravity = Vector3::from(random.direction()) * GRAVITY_MPS2;
             let offset = Vector3::from(random.normals(settings.force_offset_mps2));
             let turn =
@@ -104,7 +104,7 @@ fn constant_velocity_looks_like_a_rest() {
 fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
     let still = Vector3::new(0.0, 0.0, GRAVITY_MPS2);
     let found = |offset_mps2: f64, bias_rad_s: f64| {
-        let mut detector = Stationarity::new(Detector::default());
+        let mut detector = RestDetector::new(RestLimits::default());
         let force = still + Vector3::z() * offset_mps2;
         let rate = Vector3::x() * bias_rad_s;
         (0..100).filter(|_| detector.push(&force, Some(&rate), 0.01)).count() > 0
@@ -116,7 +116,7 @@ fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
 
 #[test]
 fn without_a_gyroscope_a_known_noise_makes_the_detector_sharper() {
-    let found = |noise| Detector::default().without_gyroscope(noise).force_mps2;
+    let found = |noise| RestLimits::default().without_gyroscope(noise).force_mps2;
     assert!((found(0.02) - 0.03).abs() < 1e-12);
     assert_eq!((found(0.1), found(0.0)), (0.06, 0.06));
 }
@@ -132,7 +132,7 @@ fn a_gap_or_a_number_that_is_not_finite_ends_the_rest() {
         (still * f64::INFINITY, zero, 0.01),
         (still, zero, 0.3),
     ] {
-        let mut detector = Stationarity::new(Detector::default());
+        let mut detector = RestDetector::new(RestLimits::default());
         let mut rests = 0;
         for _ in 0..100 {
             rests += usize::from(detector.push(&still, Some(&zero), 0.01));

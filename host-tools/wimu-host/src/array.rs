@@ -3,25 +3,19 @@
 //! motion.
 
 mod calibration;
-mod delays;
 mod fit;
 mod geometry;
 mod health;
 mod motion;
 mod outputs;
-mod presets;
 mod recording;
 mod rests;
-mod single;
 mod stored;
 
 pub use calibration::{ArrayCalibration, SensorFit};
-pub(crate) use delays::corrected_delays;
 pub use fit::{Agreement, RefineOptions, Refinement, refine};
 pub use geometry::{ArrayGeometry, ArraySensor};
-pub use motion::{ArrayBody, ArrayMotion};
-pub use presets::preset;
+pub use motion::ArrayBody;
 pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use rests::EvenTurn;
-pub use single::{SingleAxis, navigated_axes};
 pub use stored::{CalibratedArray, calibrate_array};

@@ -1,8 +1,7 @@
 //! Comparison of two links of one board, sample by sample: losses, latency and differences of the values. Also of
 //! two tables of any two devices.
 //!
-//! A recording is read three times and never held in memory: for the clocks, for the counts and fits,
-//! and for the residuals under the fit.
+//! A recording is read twice and never held in memory: for the clocks, then for the counts and fits.
 
 use std::io::Read;
 
@@ -20,14 +19,12 @@ use crate::{Code, Problem, Result};
 pub(crate) mod align;
 mod arrival;
 mod counted;
-mod holes;
+mod delivery;
 mod link;
 mod model;
 mod overview;
-mod pairing;
 mod pictures;
 mod quantiles;
-mod residual;
 
 pub use align::{Alignment, Turn, align};
 pub use arrival::ByArrival;
@@ -37,7 +34,6 @@ pub use quantiles::Quantiles;
 
 use counted::Counted;
 use overview::Overview;
-use residual::Residual;
 
 /// The reference first.
 const ROLES: [LinkRole; 2] = [LinkRole::Cable, LinkRole::Wireless];
@@ -119,8 +115,6 @@ pub struct Axis {
     pub rms_after_mps2: f64,
     /// Largest difference before correction, LSB of the stream; `None` for tables.
     pub max_before_lsb: Option<u32>,
-    /// Largest difference after correction, rounded to LSB.
-    pub max_after_lsb: Option<u32>,
 }
 
 /// y = b + S x; of two tables whose axes are not parallel, x is along the other's axis.
@@ -159,7 +153,6 @@ impl Axis {
             rms_before_mps2: 0.0,
             rms_after_mps2: axis.rms_mps2,
             max_before_lsb: None,
-            max_after_lsb: None,
         }
     }
 }
@@ -177,7 +170,7 @@ struct History {
     excerpt: Vec<(f64, [[f64; 3]; 2])>,
 }
 
-/// Compares the links of a recording; `open` opens it, three times, and `name` is its name in
+/// Compares the links of a recording; `open` opens it, twice, and `name` is its name in
 /// errors.
 ///
 /// # Errors
@@ -204,7 +197,6 @@ pub fn compare<R: Read>(
         .as_ref()
         .ok()
         .map(|found| LinkModel::new(LinkRole::Wireless, &named, &lines(found), found.samples));
-    let residual = Residual::read(open()?, &overview, &counted, model.as_ref())?;
     let links = [0, 1].map(|index| {
         let role = ROLES[index];
         let statistics = overview.statistics(role);
@@ -214,7 +206,7 @@ pub fn compare<R: Read>(
         };
         let clock = overview.link(role).and_then(Link::clock);
         LinkReport {
-            by_arrival: Some(residual.by_arrival(index)),
+            by_arrival: Some(counted.arrival_error(index)),
             ..counted.meters[index].report(role, &statistics, &stream, clock)
         }
     });
@@ -222,9 +214,7 @@ pub fn compare<R: Read>(
         (Ok(found), Some(model)) => Some(Values {
             axes: [0, 1, 2].map(|axis| Axis {
                 rms_before_mps2: counted.before.rms(axis),
-                rms_after_mps2: residual.after.rms(axis),
                 max_before_lsb: Some(counted.before.max_lsb[axis]),
-                max_after_lsb: Some(residual.after.max_lsb[axis]),
                 ..lines(found)[axis]
             }),
             model,

@@ -21,7 +21,6 @@ use wimu_link::LinkRole;
 
 pub use source::Source;
 pub use summary::{Overview, Summary, TrackSummary};
-pub(crate) use table::acceleration_unit;
 
 use crate::csv::Filter;
 use crate::recording::{How, Intake, OF_WIMU, Recording, Sink};

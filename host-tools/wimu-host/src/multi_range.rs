@@ -34,7 +34,7 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::sensor::Reading;
 
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
-use crate::series::{Series, period_s};
+use crate::series::{At, Flags, Interp, Ns, Series};
 use crate::{Code, Problem, Result};
 use findings::{judged, saturated, summary};
 use fit::{Clock, Fine, Fit};
@@ -173,7 +173,7 @@ impl Merge {
         let mut findings = Vec::new();
         let mut noise = finest.noise;
         for coarse in coarser {
-            let fine = Fine { times_s: &finest.series.times_s, readings: &readings, noise };
+            let fine = Fine { times: &finest.series.t, readings: &readings, noise };
             let fit = fine.fit(&coarse.series, coarse.noise).ok_or_else(|| {
                 Code::DataRefused.error(
                     format!(
@@ -216,7 +216,7 @@ struct Sensor {
     si_per_unit: f64,
     /// Rows of its track that are in `series`.
     rows: Vec<usize>,
-    series: Series,
+    series: Series<Vector3<f64>>,
     noise: [f64; 3],
 }
 
@@ -229,41 +229,36 @@ impl Sensor {
             Unit::Unknown => return None,
         };
         let full_scale = given.or(track.info.full_scale).filter(|full| *full > 0.0)?;
-        let (mut rows, mut times_s, mut values) = (Vec::new(), Vec::new(), Vec::new());
+        let mut rows = Vec::new();
+        let mut series = Series::default();
         for (row, time_ns) in track.times_ns().iter().enumerate() {
-            let time_s = *time_ns as f64 * 1e-9;
             let value: [f64; 3] = track.row(row)?.try_into().ok()?;
+            let value = Vector3::from(value) * si_per_unit;
             let is_number = value.iter().all(|axis| axis.is_finite());
+            let saturated = value.amax() >= RAIL * full_scale;
             // A masked row of numbers is out of order.
             let in_order = track.mask()[row] || !is_number;
-            if in_order && times_s.last().is_none_or(|last| time_s > *last) {
+            if in_order && series.push(Ns(*time_ns), value, Flags::saturated(saturated)) {
                 rows.push(row);
-                times_s.push(time_s);
-                values.push(value.map(|axis| axis * si_per_unit));
             }
         }
-        let beyond = |value: &[f64; 3]| value.iter().any(|axis| axis.abs() >= RAIL * full_scale);
+        let series = series.even();
         Some(Self {
             sensor: track.info.sensor,
             full_scale,
             si_per_unit,
             rows,
-            noise: fit::noise(&values, step),
-            series: Series {
-                saturated: values.iter().map(beyond).collect(),
-                period_s: period_s(&times_s),
-                times_s,
-                values,
-            },
+            noise: fit::noise(&series.v, step),
+            series,
         })
     }
 
     fn readings(&self) -> Vec<[Reading; 3]> {
         let rail = RAIL * self.full_scale;
-        let reading = |value: &[f64; 3]| {
+        let reading = |value: &Vector3<f64>| {
             std::array::from_fn(|axis| Reading::new(value[axis], self.noise[axis], rail))
         };
-        self.series.values.iter().map(reading).collect()
+        self.series.v.iter().map(reading).collect()
     }
 
     fn merged(
@@ -317,20 +312,20 @@ fn name(sensor: u8, full_scale_mps2: f64) -> String {
 fn combine(fine: &Fine, coarse: &Sensor, fit: &Fit) -> (Vec<[Reading; 3]>, usize) {
     let series = fit.clock.corrected(&coarse.series);
     let mut stands_in = 0;
-    let sampled = series.sampled(fine.times_s).enumerate();
-    let merge = |(k, (value, doubt, limited)): (usize, ([f64; 3], f64, bool))| {
+    let sampled = series.on(fine.times.iter().copied(), Interp::Cubic).enumerate();
+    let merge = |(k, at): (usize, Option<At<Vector3<f64>>>)| {
         let known: [Reading; 3] = fine.readings[k];
-        if limited || value.iter().any(|axis| !axis.is_finite()) {
+        let Some(at) = at.filter(|at| !at.flags.is_saturated()) else {
             return known;
-        }
+        };
         // Errors of interpolation, of which half is the difference of two parabolas, and of the time.
-        let (force, calibration) = fit.model.to_fine(&Vector3::from(value), 0.0);
-        let timing = fit.clock.variance(fine.times_s[k]);
-        let jerk = slope(&series, fine.times_s[k]).unwrap_or_else(Vector3::zeros);
+        let (force, calibration) = fit.model.to_fine(&at.value, 0.0);
+        let timing = fit.clock.variance(fine.times[k]);
+        let jerk = slope(&series, fine.times[k]).unwrap_or_else(Vector3::zeros);
         let is_measured = |reading: &Reading| matches!(reading, Reading::Measured(..));
         stands_in += usize::from(!known.iter().all(is_measured));
         std::array::from_fn(|axis| {
-            let errors = calibration[axis] + (2.0 * doubt).powi(2) + timing * jerk[axis].powi(2);
+            let errors = calibration[axis] + (2.0 * at.error).powi(2) + timing * jerk[axis].powi(2);
             let coarse = Reading::new(force[axis], fit.noise[axis] + errors, f64::INFINITY);
             known[axis].merge(coarse)
         })
@@ -340,11 +335,10 @@ fn combine(fine: &Fine, coarse: &Sensor, fit: &Fit) -> (Vec<[Reading; 3]>, usize
 }
 
 /// Change of the coarse accelerometer's output around a time, m/s³.
-fn slope(series: &Series, time_s: f64) -> Option<Vector3<f64>> {
-    let after = series.times_s.partition_point(|time| *time <= time_s);
-    let [from, to] = [after.checked_sub(1)?, after];
-    let change = Vector3::from(*series.values.get(to)?) - Vector3::from(series.values[from]);
-    let slope = change / (series.times_s[to] - series.times_s[from]);
+fn slope(series: &Series<Vector3<f64>>, time: Ns) -> Option<Vector3<f64>> {
+    let before = series.latest(time)?;
+    let change = series.v.get(before + 1)? - series.v[before];
+    let slope = change / series.t[before + 1].since_s(series.t[before]);
     slope.iter().all(|axis| axis.is_finite()).then_some(slope)
 }
 

@@ -11,6 +11,7 @@ use wimu_host::array::{
     refine,
 };
 use wimu_host::inertial::Zupt;
+use wimu_host::series::{Ns, Series};
 use wimu_testkit::figure;
 
 const G: f64 = 9.80665;
@@ -121,15 +122,14 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
             let kept: Vec<usize> = (0..times_s.len()).filter(|n| !lost(*n)).collect();
             Board {
                 name: format!("board {k}"),
-                origin_ns: 1_000_000_000 + (start * 1e9) as i64 + (clock_error_us[k] * 1e3) as i64,
-                values: kept
-                    .iter()
-                    .map(|n| {
-                        output(sensor, start + times_s[*n]).map(|v| v + 0.02 * random.normal())
-                    })
-                    .collect(),
-                saturated: vec![false; kept.len()],
-                times_s: kept.iter().map(|n| times_s[*n]).collect(),
+                force: Series::of(kept.into_iter().map(|n| {
+                    let value = output(sensor, start + times_s[n]);
+                    let noisy = value.map(|v| v + 0.02 * random.normal());
+                    (
+                        Ns(1_000_000_000).after_s(start + clock_error_us[k] * 1e-6 + times_s[n]),
+                        noisy.into(),
+                    )
+                })),
                 clock_sd_s: Some(300e-6),
                 without_unit: 0,
                 sensitivity_lsb_per_g: None,
@@ -179,7 +179,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
     );
 
     let mut late = boards[1].clone();
-    late.origin_ns += 3_600_000_000_000;
+    late.force = late.force.retimed(|time| time.after_s(3600.0));
     let error = ArrayRecording::from_boards(&[boards[0].clone(), late]).unwrap_err();
     assert!(error.to_string().contains("no time in common"), "{error}");
     let error = ArrayRecording::from_boards(&boards[..1]).unwrap_err();

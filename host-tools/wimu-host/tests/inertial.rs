@@ -394,7 +394,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     assert!(calibration.uncalibrated.is_some(), "one pose is not enough to calibrate");
     let refused = |wrong: &ArrayGeometry| {
         let error = ArrayBody::of(&recording, wrong, &calibration)
-            .and_then(|body| body.angular_rate())
+            .and_then(|body| body.navigated(9.80665, Zupt::Stated))
             .unwrap_err();
         error.to_string()
     };
@@ -408,7 +408,7 @@ fn places_are_read_in_both_forms_and_must_fit_the_recording() {
     );
     assert!(
         ArrayBody::of(&recording, &places, &calibration)
-            .and_then(|body| body.angular_rate())
+            .and_then(|body| body.navigated(9.80665, Zupt::Stated))
             .is_ok()
     );
 }

@@ -6,10 +6,8 @@ use std::path::Path;
 use proptest::prelude::*;
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions};
-use wimu_host::inertial::{
-    Choice, InertialPath, Profile, Zupt, navigate, navigate_array, navigate_axes,
-};
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::inertial::{Choice, InertialPath, Profile, Zupt, navigate, navigate_array};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{Code, Problem};
 use wimu_testkit::{Lane, Random};
@@ -134,11 +132,6 @@ proptest! {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let csv = file(&table(shake, &wild, &names, seed));
         let geometry = ArrayGeometry::read(Path::new("four:30mm")).unwrap();
-        let single = ArrayGeometry::read(Path::new("cube:100mm")).unwrap();
-        // All upright where they rest: gravity is what they show, whatever the cube.
-        let axes: Vec<String> = (0..6).map(|k| format!("Accelerometer {k} (m/s²)")).collect();
-        let axes: Vec<&str> = axes.iter().map(String::as_str).collect();
-        let alone = file(&table(shake, &wild, &axes, seed));
         let zupt = [Zupt::Assumed, Zupt::Stated, Zupt::Off][seed as usize % 3];
         let choice = Choice { zupt, ..Choice::default() };
         let recording = ArrayRecording::from_csv(&csv, 2048.0).unwrap();
@@ -147,9 +140,6 @@ proptest! {
             navigate_array(&recording, &geometry, &calibration, &choice)
         });
         check(found)?;
-        let recording = ArrayRecording::axes_from_csv(&alone, &single, 2048.0).unwrap();
-        let known = RefineOptions::default();
-        check(navigate_axes(&recording, &single, &known, &choice))?;
     }
 }
 

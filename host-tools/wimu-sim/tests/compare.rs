@@ -12,6 +12,9 @@ use wimu_link::{Deframer, Hello, Kind, LinkRole, MAX_FRAME};
 use wimu_sim::faults::LinkFaults;
 use wimu_testkit::{Coverage, Lane, coverage_figure, figure};
 
+/// The sensor at ±2 g, high resolution: 1024 LSB/g.
+const LSB_MPS2: f64 = 9.80665 / 1024.0;
+
 #[test]
 fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
     let session = Session::default();
@@ -45,8 +48,8 @@ fn every_sample_that_a_bad_link_lost_is_counted_and_none_is_wrong() {
 
 #[test]
 fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
-    // Errors of bias, m/s², and scale factor; what is left, LSB.
-    let (mut most, mut left) = ([0.0_f64; 2], 0);
+    // Errors of bias, m/s², and scale factor; what is left, LSB rms.
+    let (mut most, mut left) = ([0.0_f64; 2], 0.0_f64);
     for (seed, faults) in
         [(1, "bias=12/-8/5mg,scale=0.4/-0.3/0.2%"), (2, "bias=-60/80/-31mg,scale=-3/2.5/4%")]
     {
@@ -59,18 +62,18 @@ fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
             let bias = line.bias_mps2 - truth.bias_mps2[axis];
             let scale = line.scale - 1.0 - truth.scale[axis];
             most = [most[0].max(bias.abs()), most[1].max(scale.abs())];
-            left = left.max(found.max_after_lsb.unwrap_or(0));
+            left = left.max(found.rms_after_mps2 / LSB_MPS2);
             println!(
-                "axis {axis}: bias wrong by {bias:+.6} (2 sd {:.6}) m/s², scale by {scale:+.7} (2 sd {:.7}), apart {:?} LSB, then {:?}",
+                "axis {axis}: bias wrong by {bias:+.6} (2 sd {:.6}) m/s², scale by {scale:+.7} (2 sd {:.7}), apart {:?} LSB, then {:.4} m/s² rms",
                 2.0 * line.bias_sd_mps2,
                 2.0 * line.scale_sd,
                 found.max_before_lsb,
-                found.max_after_lsb
+                found.rms_after_mps2
             );
             assert!(bias.abs() <= 3.0 * line.bias_sd_mps2, "{axis}: {bias} {line:?}");
             assert!(scale.abs() <= 3.0 * line.scale_sd, "{axis}: {scale} {line:?}");
             assert!(found.max_before_lsb > Some(10));
-            assert!(found.max_after_lsb <= Some(1), "{found:?}");
+            assert!(found.rms_after_mps2 < LSB_MPS2, "{found:?}");
         }
     }
     figure(
@@ -79,7 +82,7 @@ fn bias_and_scale_of_the_other_unit_are_found_and_removed_to_one_lsb() {
         "–",
         true,
     );
-    figure("difference left between links, LSB", left.to_string().as_str(), "at most 1", left <= 1);
+    figure("difference left between links, LSB rms", format!("{left:.2}"), "below 1", left < 1.0);
 }
 
 #[test]
@@ -433,7 +436,7 @@ fn errors_of_the_other_unit_are_within_their_intervals_and_drawn_bands_over_many
                 inside[which].count(error.abs() <= 1.96);
                 worst[which] = worst[which].max(error.abs());
             }
-            assert!(found.max_after_lsb <= Some(1), "{seed}: {found:?}");
+            assert!(found.rms_after_mps2 < LSB_MPS2, "{seed}: {found:?}");
         }
         for (name, chart) in found.charts() {
             let (which, truth) = match name {

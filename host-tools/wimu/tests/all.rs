@@ -50,7 +50,6 @@ mod round_trip;
 mod screens;
 mod session;
 mod several_sessions;
-mod single_axes;
 mod six_axes;
 mod smallest_device;
 mod streams;

@@ -188,7 +188,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
 
     let options = BoardOptions { sensitivity_lsb_per_g: 1.0, link: Some(ROLES[0]), raw: false };
     let board = Board::read(Path::new(&session), &options).unwrap();
-    let magnitudes: Vec<f64> = board.values.iter().map(|value| value[0]).collect();
+    let magnitudes: Vec<f64> = board.force.v.iter().map(|value| value[0]).collect();
     assert_eq!(magnitudes.len(), SAMPLES as usize);
     are_one_g(&magnitudes);
 
@@ -206,7 +206,7 @@ fn a_calibration_by_the_cable_and_a_board_of_an_array_go_by_each_samples_range()
     assert!((at - STANDARD_GRAVITY_MPS2).abs() < 1e-9, "{found}");
     let board = Board::read(Path::new(&session), &options).unwrap();
     assert_eq!(board.without_unit, 159);
-    are_one_g(&board.values.iter().map(|value| value[0]).collect::<Vec<_>>());
+    are_one_g(&board.force.v.iter().map(|value| value[0]).collect::<Vec<_>>());
 }
 
 #[test]

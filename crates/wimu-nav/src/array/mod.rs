@@ -3,7 +3,7 @@
 //!
 //! [`Geometry`] says where they are, [`ArraySolver`] takes one sample of all of them, and
 //! [`Array`] does so while leaving out those that are dead or saturated. [`ArrayFilter`] navigates
-//! with them; [`track`] follows the angular rate through a whole recording, looking ahead too.
+//! with them.
 
 mod filter;
 mod monitor;
@@ -11,13 +11,11 @@ mod noise;
 mod rest;
 mod solver;
 mod state;
-mod track;
 
 use wimu_model::geometry;
 
 pub use filter::ArrayFilter;
 pub use geometry::{Axis, Geometry, GeometryError, Triad};
-pub use monitor::{Array, Dropped, Update};
+pub use monitor::{Array, Dropped};
 pub use solver::{ArraySolver, Hypothesis, Linear, Roots, Solution};
 pub use state::{ArrayConfig, ArrayFault, ArrayState};
-pub use track::{Observation, Spread, Step, Track, track};

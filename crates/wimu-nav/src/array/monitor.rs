@@ -1,7 +1,7 @@
 //! An array some of whose sensors may fail.
 
 use super::geometry::{Geometry, GeometryError};
-use super::solver::{ArraySolver, Linear, Solution};
+use super::solver::{ArraySolver, Linear};
 use crate::Real;
 
 /// Samples after which an output that has not moved by one bit counts as stuck, while another
@@ -22,17 +22,6 @@ impl Dropped {
     pub fn all(self) -> u32 {
         self.saturated | self.dead
     }
-}
-
-/// One sample's answer.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Update<R> {
-    /// The reduced sample, for a filter.
-    pub linear: Linear<R>,
-    /// All angular rates that fit.
-    pub solution: Solution<R>,
-    /// What was left out.
-    pub dropped: Dropped,
 }
 
 /// A solver that leaves out sensors which are dead or saturated, and says so.
@@ -71,21 +60,12 @@ impl<R: Real, const M: usize> Array<R, M> {
         &self.solver
     }
 
-    /// Takes one sample of all axes, m/s². Working out the geometry again when a sensor goes or
-    /// comes back takes far longer than a sample.
+    /// Takes one sample of all axes, m/s²; what is left of it, and the sensors that were left out. Working out the geometry
+    /// again when a sensor goes or comes back takes far longer than a sample.
     ///
     /// # Errors
     /// What is missing, where the sensors left do not suffice.
-    pub fn update(&mut self, output_mps2: &[R; M]) -> Result<Update<R>, GeometryError> {
-        let (linear, dropped) = self.reduce(output_mps2)?;
-        Ok(Update { linear, solution: self.solver.roots_of(&linear), dropped })
-    }
-
-    /// The same without the angular rates that fit: a filter looks for them only where it does not know better.
-    pub(super) fn reduce(
-        &mut self,
-        output_mps2: &[R; M],
-    ) -> Result<(Linear<R>, Dropped), GeometryError> {
+    pub fn reduce(&mut self, output_mps2: &[R; M]) -> Result<(Linear<R>, Dropped), GeometryError> {
         let dropped = self.judge(output_mps2);
         if dropped.all() != self.dropped {
             let mask = dropped.all();
@@ -106,12 +86,7 @@ impl<R: Real, const M: usize> Array<R, M> {
         let group = self.geometry.group();
         let used = self.geometry.axes().len();
         let mut dropped = Dropped::default();
-        let mut moved = 0;
-        for index in 0..used.min(M) {
-            if output[index] != self.last[index] {
-                moved += 1;
-            }
-        }
+        let moved = output.iter().zip(&self.last).take(used).filter(|(a, b)| a != b).count();
         for index in 0..used.min(M) {
             let bit = 1 << (index / group % 32);
             let value = output[index];

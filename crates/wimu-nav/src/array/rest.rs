@@ -7,7 +7,7 @@ use super::ArrayConfig;
 use super::solver::{ArraySolver, Linear};
 use crate::Real;
 use crate::filter::chi_square_quantile;
-use crate::stationarity::{Detector, Stationarity};
+use crate::stationarity::{RestDetector, RestLimits};
 
 /// Values that are zero at a rest: angular acceleration and z.
 type Zeros = SVector<f64, 9>;
@@ -16,7 +16,7 @@ type Zeros = SVector<f64, 9>;
 #[derive(Clone, Debug)]
 pub(super) struct RestTest {
     window_s: f64,
-    detector: Stationarity,
+    detector: RestDetector,
     /// Variance of the specific force about its mean at a rest, (m/s²)².
     force_variance: f64,
     /// Means since the last sample that was not one of a rest, over at most the window, and that time, s.
@@ -31,13 +31,13 @@ pub(super) struct RestTest {
 impl RestTest {
     pub fn new<R: Real, const M: usize>(config: &ArrayConfig, solver: &ArraySolver<R, M>) -> Self {
         let noise = libm::sqrt(solver.covariance()[3][3]);
-        let mut settings = Detector::default().without_gyroscope(noise);
+        let mut settings = RestLimits::default().without_gyroscope(noise);
         settings.gravity_mps2 = config.gravity_mps2;
         let bias = config.bias_mps2 + config.common_bias_mps2;
         settings.force_offset_mps2 = settings.force_offset_mps2.max(bias);
         Self {
             window_s: settings.window_s,
-            detector: Stationarity::new(settings),
+            detector: RestDetector::new(settings),
             force_variance: settings.force_mps2 * settings.force_mps2,
             mean: Zeros::zeros(),
             mean_force: Vector3::zeros(),

@@ -4,7 +4,7 @@ mod roots;
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-use roots::{dot, inverse3, sub};
+pub use roots::{Hypothesis, Solution};
 
 use super::geometry::{Axis, Geometry, GeometryError};
 use crate::Real;
@@ -17,8 +17,6 @@ const LINEAR_RANK: f64 = 1e-4;
 const QUADRATIC_RANK: f64 = 1e-4;
 /// Unknowns of the linear part.
 const UNKNOWNS: usize = 6;
-/// Hypotheses kept.
-const HYPOTHESES: usize = 8;
 
 /// What a sample says about the angular rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,58 +40,6 @@ pub struct Linear<R> {
     pub z: [R; 6],
     /// ω̇ (rad/s²) and s (m/s²) as they would be without centripetal acceleration.
     pub theta: [R; 6],
-}
-
-/// One angular rate that fits a sample, and what follows from it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hypothesis<R> {
-    /// ω, rad/s, body axes.
-    pub rate_rad_s: [R; 3],
-    /// ω̇, rad/s², body axes.
-    pub angular_acceleration_rad_s2: [R; 3],
-    /// s, specific force at the weighted centre of the sensors, m/s², body axes.
-    pub specific_force_mps2: [R; 3],
-    /// Information about ω, the inverse of its covariance, (rad/s)⁻²: it vanishes at rest.
-    pub information: [[R; 3]; 3],
-    /// Σ of squared residuals that ω should explain, of unit variance: [`ArraySolver::degrees`].
-    pub chi_square: R,
-}
-
-impl<R: Real> Hypothesis<R> {
-    /// Covariance of ω, (rad/s)²; `None` where the sample says nothing about a component, at rest.
-    pub fn covariance(&self) -> Option<[[R; 3]; 3]> {
-        inverse3(&self.information)
-    }
-}
-
-/// All angular rates that fit a sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Solution<R> {
-    hypotheses: [Option<Hypothesis<R>>; HYPOTHESES],
-}
-
-impl<R: Real> Solution<R> {
-    /// The hypotheses, each with its opposite next to it, the best fit first.
-    pub fn hypotheses(&self) -> impl Iterator<Item = &Hypothesis<R>> {
-        self.hypotheses.iter().flatten()
-    }
-
-    /// Whether more than one angular rate fits: always, but for history (and at rest, where ω and
-    /// −ω are one).
-    pub fn is_ambiguous(&self) -> bool {
-        self.hypotheses().count() > 1
-    }
-
-    /// The hypothesis nearest to `rate_rad_s`, where it is expected from the history.
-    pub fn nearest(&self, rate_rad_s: [R; 3]) -> Option<&Hypothesis<R>> {
-        let distance = |h: &Hypothesis<R>| {
-            let d = sub(h.rate_rad_s, rate_rad_s);
-            dot(d, d)
-        };
-        self.hypotheses().min_by(|a, b| {
-            distance(a).partial_cmp(&distance(b)).unwrap_or(core::cmp::Ordering::Equal)
-        })
-    }
 }
 
 /// A geometry worked out once, so that a sample costs 12 inner products and a few steps in three
@@ -259,11 +205,6 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         }
     }
 
-    /// Degrees of freedom of [`Hypothesis::chi_square`].
-    pub fn degrees(&self) -> usize {
-        self.rank.saturating_sub(3)
-    }
-
     /// How many of [`Linear::z`] count.
     pub fn rank(&self) -> usize {
         self.rank
@@ -316,23 +257,6 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             sum += rest * rest;
         }
         Some(sum / real(free as f64))
-    }
-
-    /// P y, in which neither ω̇ nor s is left, equation (72): what a calibration of the array works on.
-    pub fn project(&self, output_mps2: &[R; M]) -> [R; M] {
-        let mut theta = [R::default(); 6];
-        for (value, row) in theta.iter_mut().zip(&self.to_theta) {
-            *value = inner(row, output_mps2);
-        }
-        core::array::from_fn(|index| {
-            let weight = self.weights[index];
-            (output_mps2[index] - inner(&self.rows[index], &theta)) * weight * weight
-        })
-    }
-
-    /// Derivatives of [`Linear::z`] by the outputs.
-    pub fn z_rows(&self) -> &[[R; M]; 6] {
-        &self.to_z
     }
 
     /// The linear part of the work, equations (71) and (72): all that a sample says.

@@ -4,7 +4,7 @@ use super::Random;
 use super::travel::{Errors, Travel};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Settings, Solution, Start};
-use wimu_nav::stationarity::{Detector, Stationarity};
+use wimu_nav::stationarity::{RestDetector, RestLimits};
 
 /// How a motion is recorded and navigated.
 #[derive(Clone)]
@@ -128,11 +128,11 @@ pub fn navigate(travel: &Travel, errors: &Errors, how: Navigated, seed: u64) -> 
     navigator.set_heading(x.y.atan2(x.x));
     let origin = travel.position(0.0);
     let detector = if how.gyroscope {
-        Detector::default()
+        RestLimits::default()
     } else {
-        Detector::default().without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
+        RestLimits::default().without_gyroscope(errors.force_noise * how.rate_hz.sqrt())
     };
-    let mut detector = Stationarity::new(detector);
+    let mut detector = RestDetector::new(detector);
     let rests: Vec<bool> = samples
         .iter()
         .map(|s| detector.push(&s.force_mps2, s.rate_rad_s.as_ref(), s.step_s))

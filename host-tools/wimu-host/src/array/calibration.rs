@@ -1,19 +1,19 @@
 //! Calibration of an array from the rests in its own recording, or as it is stored.
 
+use nalgebra::Vector3;
+use wimu_calib::Gravity;
 use wimu_calib::array::ArrayPrior;
-use wimu_calib::{Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 use super::fit::{Fitted, at_rests, contradiction};
 use super::motion::{check, with_room};
 use super::outputs::{
-    apart_of, departures, disagreement, is_dead, is_throughout, mean, pose, scale_of,
+    AtRests, Moments, Span, common, departures, is_dead, is_throughout, moments, rms, scale_of,
     steady_stretches,
 };
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
-use crate::stats::norm;
-use crate::{Code, Result};
+use crate::{Code, Problem, Result};
 
 /// Noise that is assumed where there is no rest to see it, m/s².
 const ASSUMED_NOISE_MPS2: f64 = 0.05;
@@ -59,7 +59,7 @@ pub struct ArrayCalibration {
     /// Noise of each sensor at rest, m/s² an axis.
     pub noise_mps2: Vec<f64>,
     /// The rests, as first sample and number of samples.
-    pub rests: Vec<(usize, usize)>,
+    pub rests: Vec<Span>,
     /// What looks like rests in the mean of the sensors while they turn evenly, which shows among them.
     pub turns: Vec<EvenTurn>,
     /// An even turn about the vertical that is slower, rad/s, looks like a rest to this array: that there
@@ -85,15 +85,13 @@ pub struct ArrayCalibration {
     pub fits: Vec<Option<SensorFit>>,
     /// Sensors that are of no use, and why.
     pub left_out: Vec<(usize, String)>,
-    /// What each sensor that is used departs from the mean of all by, m/s² rms, before the rests' departures were
-    /// taken into the models.
-    apart_mps2: Vec<(usize, f64)>,
+    /// The sensor that departs most from the mean of all at the rests, m/s² rms, before their departures were taken into the
+    /// models.
+    farthest: (usize, f64),
     /// Prior deviations of biases, m/s², and of the entries of the matrices, and gravity.
     prior: ArrayPrior,
-    /// Mean force at each rest, m/s².
-    rest_forces: Vec<[f64; 3]>,
     /// What each sensor still adds at each rest, m/s².
-    offsets: Vec<Vec<[f64; 3]>>,
+    offsets: Vec<Vec<Vector3<f64>>>,
 }
 
 impl ArrayCalibration {
@@ -118,73 +116,47 @@ impl ArrayCalibration {
     ) -> Result<Self> {
         check(recording, geometry)?;
         let sensors = recording.sensors();
-        let refused = |message: &str, remedy: &str| {
-            Code::DataRefused.error(message, remedy).at(&recording.name)
-        };
-        let mut left_out: Vec<(usize, String)> = (0..sensors)
-            .filter(|sensor| is_dead(recording, *sensor))
-            .map(|sensor| (sensor, "its output never moves".to_owned()))
-            .collect();
-        if left_out.len() == sensors {
-            return Err(refused(
-                "no sensor's output moves",
-                "check the sensors and the sensitivity",
-            ));
+        let dead: Vec<usize> = (0..sensors).filter(|s| is_dead(recording, *s)).collect();
+        if dead.len() == sensors {
+            let remedy = "check the sensors and the sensitivity";
+            return Err(Code::DataRefused
+                .error("no sensor's output moves", remedy)
+                .at(&recording.name));
         }
-        let dead: Vec<usize> = left_out.iter().map(|(sensor, _)| *sensor).collect();
         let stretches = steady_stretches(recording, &dead);
         // Judged by the sensors that live through all of them.
-        let lives: Vec<bool> = (0..sensors)
-            .map(|sensor| {
-                let seen = |span: &(usize, usize)| is_throughout(recording, sensor, *span);
-                !dead.contains(&sensor) && stretches.iter().all(seen)
-            })
-            .collect();
+        let lives = |sensor: usize| {
+            !dead.contains(&sensor)
+                && stretches.iter().all(|span| is_throughout(recording, sensor, *span))
+        };
+        let lives: Vec<bool> = (0..sensors).map(lives).collect();
         let judged = judged(recording, geometry, &stretches, &lives)?;
-        let rests = judged.rests;
-        if rests.is_empty() {
-            return Err(if judged.turns.is_empty() {
-                refused(
-                    "there is no rest in the recording, so neither biases nor gravity are known",
-                    "hold the array still for two seconds, in several orientations",
-                )
-            } else {
-                refused(
-                    "wherever the sensors are steady they show an even turn, so there is no rest, and \
-                     neither biases nor gravity are known",
-                    "hold the array still for two seconds, in several orientations; check the places of \
-                     the sensors",
-                )
-            });
+        if judged.rests.is_empty() {
+            return Err(without_rest(!judged.turns.is_empty()).at(&recording.name));
         }
-        let per_sensor: Vec<Vec<Option<Pose>>> = (0..sensors)
-            .map(|sensor| {
-                let of_rest = |rest: &(usize, usize)| pose(recording, sensor, *rest);
-                rests.iter().map(of_rest).collect()
-            })
+        let at_rest = |span: &Span| (0..sensors).map(|s| moments(recording, s, *span)).collect();
+        let seen: Vec<Vec<Option<Moments>>> = judged.rests.iter().map(at_rest).collect();
+        let outputs: AtRests = (seen.iter())
+            .map(|rest| rest.iter().map(|sensor| sensor.map(|(mean, _)| mean)).collect())
             .collect();
-        let seen = |sensor: usize| per_sensor[sensor].iter().flatten();
-        for sensor in 0..sensors {
-            if !dead.contains(&sensor) && seen(sensor).next().is_none() {
-                left_out.push((sensor, "it has no output at any rest".to_owned()));
-            }
-        }
-        let noise_mps2 = (0..sensors)
-            .map(|sensor| {
-                let square = |p: &Pose| p.sd_mps2.iter().map(|s| s * s).sum::<f64>() / 3.0;
-                let count = seen(sensor).count().max(1) as f64;
-                let noise = (seen(sensor).map(square).sum::<f64>() / count).sqrt();
-                if noise > 0.0 { noise } else { ASSUMED_NOISE_MPS2 }
-            })
-            .collect();
+        let mut left_out: Vec<(usize, String)> =
+            dead.iter().map(|sensor| (*sensor, "its output never moves".to_owned())).collect();
+        let absent = |s: &usize| !dead.contains(s) && outputs.iter().all(|rest| rest[*s].is_none());
+        let reason = "it has no output at any rest";
+        left_out.extend((0..sensors).filter(absent).map(|sensor| (sensor, reason.to_owned())));
+        let noise_mps2 = (0..sensors).map(|sensor| {
+            let variances: Vec<f64> =
+                seen.iter().filter_map(|rest| Some(rest[sensor]?.1)).collect();
+            let noise = (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt();
+            if noise > 0.0 { noise } else { ASSUMED_NOISE_MPS2 }
+        });
+        let is_out = |sensor: usize| left_out.iter().any(|(out, _)| *out == sensor);
         let stored = !geometry.sensors.is_empty()
-            && (0..sensors).all(|s| {
-                geometry.sensors[s].model.is_some() || left_out.iter().any(|(out, _)| *out == s)
-            });
+            && (0..sensors).all(|s| geometry.sensors[s].model.is_some() || is_out(s));
         let mut calibration = Self {
             sensors: vec![ErrorModel::default(); sensors],
-            noise_mps2,
-            rests,
+            noise_mps2: noise_mps2.collect(),
+            rests: judged.rests,
             turns: judged.turns,
             unseen_rad_s: judged.unseen_rad_s,
             disagreement_mps2: 0.0,
@@ -197,19 +169,15 @@ impl ArrayCalibration {
             stored,
             fits: vec![None; sensors],
             left_out,
-            apart_mps2: Vec::new(),
+            farthest: (0, 0.0),
             prior: ArrayPrior {
                 gravity_mps2: gravity.mps2(),
                 gravity_sd_mps2: gravity.sd_mps2(),
                 repeatability_mps2: REST_BIAS_MPS2,
                 ..ArrayPrior::default()
             },
-            rest_forces: Vec::new(),
             offsets: Vec::new(),
         };
-        let outputs: Vec<Vec<Option<[f64; 3]>>> = (per_sensor.iter())
-            .map(|poses| poses.iter().map(|p| p.as_ref().map(|p| p.mean_mps2)).collect())
-            .collect();
         calibration.assume(&outputs);
         calibration.fit(recording, geometry, &outputs)?;
         calibration.take_off_offsets(&outputs);
@@ -221,21 +189,28 @@ impl ArrayCalibration {
         (0..self.sensors.len()).filter(|sensor| self.uses(*sensor)).collect()
     }
 
+    /// The sensors that are used with their departures, m/s² rms, the least first.
+    fn by_departure(&self, departures: &AtRests) -> Vec<(usize, f64)> {
+        let used = self.used().into_iter();
+        let mut all: Vec<_> = used.map(|sensor| (sensor, rms(departures, &[sensor]))).collect();
+        all.sort_by(|a, b| a.1.total_cmp(&b.1));
+        all
+    }
+
     /// Prior deviations by the method of moments, equation (104), from the mean outputs at the rests.
-    fn assume(&mut self, outputs: &[Vec<Option<[f64; 3]>>]) {
+    fn assume(&mut self, outputs: &AtRests) {
         let used = self.used();
-        let offsets = departures(outputs, self.rests.len(), &used);
+        let departures = departures(outputs, &used);
         let count = used.len() as f64;
-        let apart = disagreement(&offsets, &used) * (count / f64::max(count - 1.0, 1.0)).sqrt();
+        let apart = rms(&departures, &used) * (count / (3.0 * f64::max(count - 1.0, 1.0))).sqrt();
         self.bias_mps2 = apart.max(BIAS_MPS2);
         // In one orientation bias and scale factor cannot be told apart.
-        self.scale = scale_of(&offsets, outputs, &used)
+        self.scale = scale_of(&departures, outputs, &used)
             .unwrap_or(apart / STANDARD_GRAVITY_MPS2)
             .max(LEAST_SCALE);
-        self.apart_mps2 = used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
-        let (bias, scale) = (MOST_SCALE * STANDARD_GRAVITY_MPS2, MOST_SCALE);
-        self.prior.bias_mps2 = self.bias_mps2.min(bias);
-        self.prior.matrix = self.scale.min(scale);
+        self.farthest = self.by_departure(&departures).last().copied().unwrap_or_default();
+        self.prior.bias_mps2 = self.bias_mps2.min(MOST_SCALE * STANDARD_GRAVITY_MPS2);
+        self.prior.matrix = self.scale.min(MOST_SCALE);
     }
 
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
@@ -243,7 +218,7 @@ impl ArrayCalibration {
         &mut self,
         recording: &ArrayRecording,
         geometry: &ArrayGeometry,
-        outputs: &[Vec<Option<[f64; 3]>>],
+        outputs: &AtRests,
     ) -> Result<()> {
         let mut prior = self.prior();
         let fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<Fitted> {
@@ -264,12 +239,12 @@ impl ArrayCalibration {
         }
         if found.matrix_sd < CALIBRATED_SCALE && !self.stored {
             // With as many rests their residuals show how well a bias repeats.
-            let offsets = departures(&self.corrected(outputs), self.rests.len(), &self.used());
-            let shown = REPEATABILITY_TIMES * disagreement(&offsets, &self.used());
+            let departures = departures(&self.corrected(outputs), &self.used());
+            let shown = REPEATABILITY_TIMES * rms(&departures, &self.used()) / 3.0_f64.sqrt();
             prior.repeatability_mps2 = shown.clamp(LEAST_REPEATABILITY_MPS2, REST_BIAS_MPS2);
             found = fitted(self, &prior)?;
             for sensor in self.used() {
-                self.fits[sensor] = Some(self.fit_of(sensor, &outputs[sensor], &found));
+                self.fits[sensor] = Some(self.fit_of(sensor, outputs, &found));
             }
             (self.bias_mps2, self.scale) = (BIAS_MPS2, 0.0);
             return Ok(());
@@ -278,7 +253,7 @@ impl ArrayCalibration {
         self.uncalibrated = (!self.stored).then(|| reason.to_owned());
         if self.scale < MOST_SCALE {
             // An error that all sensors have is one of the scale in which gravity is measured.
-            self.prior.gravity_mps2 = self.mean_rest_mps2(recording);
+            self.prior.gravity_mps2 = self.mean_length(outputs);
             self.prior.gravity_sd_mps2 = MOST_SCALE * STANDARD_GRAVITY_MPS2;
             found = fitted(self, &self.prior())?;
             let learnt = (self.scale.powi(2) - found.matrix_sd.powi(2)).max(0.0);
@@ -292,60 +267,53 @@ impl ArrayCalibration {
     }
 
     /// The sensor that departs most from the others after the fit, where that is no error of its model.
-    fn faulty(&self, outputs: &[Vec<Option<[f64; 3]>>]) -> Option<(usize, f64)> {
-        let used = self.used();
-        let forces = self.corrected(outputs);
-        let offsets = departures(&forces, self.rests.len(), &used);
-        let mut apart: Vec<(usize, f64)> =
-            used.iter().map(|k| (*k, apart_of(*k, &offsets))).collect();
-        apart.sort_by(|a, b| a.1.total_cmp(&b.1));
+    fn faulty(&self, outputs: &AtRests) -> Option<(usize, f64)> {
+        let apart = self.by_departure(&departures(&self.corrected(outputs), &self.used()));
         let (worst, median) = (*apart.last()?, apart.get(apart.len() / 2)?.1);
         let alone = apart.len() > 3 && 2 * self.left_out.len() < self.sensors.len();
         (alone && worst.1 > FAULTY_MPS2 && worst.1 > FAULTY_TIMES * median).then_some(worst)
     }
 
-    fn corrected(&self, outputs: &[Vec<Option<[f64; 3]>>]) -> Vec<Vec<Option<[f64; 3]>>> {
-        let all = outputs.iter().zip(&self.sensors);
-        all.map(|(outputs, model)| {
-            let force = |output: [f64; 3]| model.correct(SpecificForceMps2(output), None).0;
-            outputs.iter().map(|output| output.map(force)).collect()
-        })
-        .collect()
+    /// Specific force of a sensor by its model.
+    fn model_force(&self, sensor: usize, output: Vector3<f64>) -> Vector3<f64> {
+        self.sensors[sensor].correct(SpecificForceMps2(output.into()), None).0.into()
     }
 
-    fn fit_of(&self, sensor: usize, outputs: &[Option<[f64; 3]>], found: &Fitted) -> SensorFit {
-        let lengths: Vec<f64> = (outputs.iter().flatten())
-            .map(|output| self.sensors[sensor].correct(SpecificForceMps2(*output), None).norm())
-            .collect();
-        let squares = lengths.iter().map(|l| (l - self.prior.gravity_mps2).powi(2)).sum::<f64>();
+    fn corrected(&self, outputs: &AtRests) -> AtRests {
+        let of_rest = |rest: &Vec<Option<Vector3<f64>>>| {
+            let sensors = rest.iter().enumerate();
+            sensors.map(|(k, output)| output.map(|output| self.model_force(k, output))).collect()
+        };
+        outputs.iter().map(of_rest).collect()
+    }
+
+    fn fit_of(&self, sensor: usize, outputs: &AtRests, found: &Fitted) -> SensorFit {
+        let outputs = outputs.iter().filter_map(|rest| rest[sensor]);
+        let off = outputs.map(|o| self.model_force(sensor, o).norm() - self.prior.gravity_mps2);
+        let off: Vec<f64> = off.collect();
         let (bias_sd_mps2, matrix_sd) = found.model_sd[sensor];
         SensorFit {
-            rests: lengths.len(),
-            rms_mps2: (squares / lengths.len().max(1) as f64).sqrt(),
+            rests: off.len(),
+            rms_mps2: (off.iter().map(|o| o * o).sum::<f64>() / off.len().max(1) as f64).sqrt(),
             bias_sd_mps2,
             matrix_sd,
         }
     }
 
-    /// Mean force of all sensors at each rest, and by how much each sensor departs from it.
-    fn take_off_offsets(&mut self, outputs: &[Vec<Option<[f64; 3]>>]) {
-        let (used, forces) = (self.used(), self.corrected(outputs));
-        self.rest_forces = (0..self.rests.len())
-            .map(|rest| mean(used.iter().filter_map(|k| forces[*k][rest])))
-            .collect();
-        let mut offsets = departures(&forces, self.rests.len(), &used);
-        self.disagreement_mps2 = disagreement(&offsets, &used);
-        // A rest at which a sensor has no output takes the departure of the rest before, or of the first.
+    /// By how much each sensor still departs from the mean of all at each rest. A rest at which a sensor has no output takes the
+    /// departure of the rest before, or of the first.
+    fn take_off_offsets(&mut self, outputs: &AtRests) {
+        let used = self.used();
+        let departures = departures(&self.corrected(outputs), &used);
+        self.disagreement_mps2 = rms(&departures, &used) / 3.0_f64.sqrt();
+        self.offsets = vec![vec![Vector3::zeros(); self.sensors.len()]; departures.len()];
         for sensor in 0..self.sensors.len() {
-            let mut last = offsets.iter().find_map(|all| all[sensor]);
-            for all in &mut offsets {
-                last = all[sensor].or(last);
-                all[sensor] = last;
+            let mut last = departures.iter().find_map(|rest| rest[sensor]);
+            for (rest, offsets) in departures.iter().zip(&mut self.offsets) {
+                last = rest[sensor].or(last);
+                offsets[sensor] = last.unwrap_or_default();
             }
         }
-        self.offsets = (offsets.iter())
-            .map(|all| all.iter().map(|o| o.unwrap_or_default()).collect())
-            .collect();
     }
 
     /// Prior of a fit of the whole recording.
@@ -355,11 +323,16 @@ impl ArrayCalibration {
 
     /// Mean length of the mean output at the rests, m/s².
     pub fn mean_rest_mps2(&self, recording: &ArrayRecording) -> f64 {
-        let length = |rest: &(usize, usize)| {
-            let used = (0..recording.sensors()).filter(|sensor| self.uses(*sensor));
-            norm(mean(used.filter_map(|k| Some(pose(recording, k, *rest)?.mean_mps2))))
-        };
-        self.rests.iter().map(length).sum::<f64>() / self.rests.len() as f64
+        let mean = |span: &Span, sensor: usize| Some(moments(recording, sensor, *span)?.0);
+        let sensors = recording.sensors();
+        let of_rest = |span: &Span| (0..sensors).map(|sensor| mean(span, sensor)).collect();
+        self.mean_length(&self.rests.iter().map(of_rest).collect())
+    }
+
+    fn mean_length(&self, outputs: &AtRests) -> f64 {
+        let used = self.used();
+        let lengths = outputs.iter().map(|rest| common(rest, &used).norm());
+        lengths.sum::<f64>() / outputs.len() as f64
     }
 
     /// Refuses sensors that differ at the rests by more than errors of sensors.
@@ -411,9 +384,8 @@ impl ArrayCalibration {
                 self.bias_mps2,
                 self.scale * 100.0
             ));
-            if let Some((sensor, apart)) = self.farthest()
-                && apart > DOUBTFUL_MPS2
-            {
+            let (sensor, apart) = self.farthest;
+            if apart > DOUBTFUL_MPS2 {
                 remarks.push(format!(
                     "sensor {sensor} (from 0) departs by {apart:.2} m/s² from the others at the rests: is its error model \
                      that of this sensor, and given in its place?"
@@ -424,12 +396,6 @@ impl ArrayCalibration {
             remarks.push(format!("sensor {sensor} (from 0) is left out: {why}"));
         }
         remarks
-    }
-
-    /// The sensor that departs most from the mean of all at the rests, and by how much, m/s² rms.
-    fn farthest(&self) -> Option<(usize, f64)> {
-        let all = self.apart_mps2.iter().copied();
-        all.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The rest whose departures are taken off sample `index`: the latest before it, or the first.
@@ -443,24 +409,29 @@ impl ArrayCalibration {
         self.left_out.iter().all(|(out, _)| *out != sensor)
     }
 
-    /// Specific force of sensor `sensor` in body axes, m/s², without what it added at the latest rest
-    /// before sample `index`: that part of its bias which the other sensors show.
-    pub fn force(&self, sensor: usize, output_mps2: [f64; 3], index: usize) -> [f64; 3] {
-        self.force_since(sensor, output_mps2, self.offset_of(index))
-    }
-
-    /// The same without what it added at rest `rest`.
+    /// Specific force of a sensor in body axes, m/s², without what it added at rest `rest`: that part of its bias which the other
+    /// sensors show.
     pub(super) fn force_since(
         &self,
         sensor: usize,
         output_mps2: [f64; 3],
         rest: usize,
     ) -> [f64; 3] {
-        let Some(model) = self.sensors.get(sensor) else {
-            return output_mps2;
-        };
-        let force = model.correct(SpecificForceMps2(output_mps2), None).0;
-        let offset = self.offsets[rest][sensor];
-        core::array::from_fn(|axis| force[axis] - offset[axis])
+        (self.model_force(sensor, output_mps2.into()) - self.offsets[rest][sensor]).into()
     }
+}
+
+/// Refusal of a recording without a rest.
+fn without_rest(turns: bool) -> Problem {
+    let (message, remedy) = match turns {
+        false => (
+            "there is no rest in the recording, so neither biases nor gravity are known",
+            "hold the array still for two seconds, in several orientations",
+        ),
+        true => (
+            "wherever the sensors are steady they show an even turn, so there is no rest, and neither biases nor gravity are known",
+            "hold the array still for two seconds, in several orientations; check the places of the sensors",
+        ),
+    };
+    Code::DataRefused.error(message, remedy)
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use wimu_model::{ErrorModel, SpecificForceMps2};
+use wimu_nav::array::{Geometry, GeometryError};
 
-use super::single::SingleAxis;
 use crate::calibration::read_model;
 use crate::navigation::distance_m;
 use crate::{Code, OutputFile, Problem, Result};
@@ -81,9 +81,6 @@ pub struct ArrayGeometry {
     /// The sensors, of three axes each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<ArraySensor>,
-    /// Single axes instead of these.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub axes: Vec<SingleAxis>,
 }
 
 impl ArrayGeometry {
@@ -92,18 +89,7 @@ impl ArrayGeometry {
 
     /// Of these sensors.
     pub fn new(sensors: Vec<ArraySensor>) -> Self {
-        Self {
-            schema: Self::SCHEMA.to_owned(),
-            place_sd_mm: None,
-            delay_sd_us: None,
-            sensors,
-            axes: Vec::new(),
-        }
-    }
-
-    /// Of single axes.
-    pub fn of_axes(axes: Vec<SingleAxis>) -> Self {
-        Self { axes, ..Self::new(Vec::new()) }
+        Self { schema: Self::SCHEMA.to_owned(), place_sd_mm: None, delay_sd_us: None, sensors }
     }
 
     /// The same with the error models that `wimu calibrate` stored for each sensor, in their order. What
@@ -160,9 +146,7 @@ impl ArrayGeometry {
 
     /// Positions of all axes, m.
     fn places_m(&self) -> Vec<[f64; 3]> {
-        let single = self.axes.iter().map(|axis| axis.place_m);
-        let triads = self.sensors.iter().flat_map(|sensor| sensor.places_m);
-        triads.chain(single).collect()
+        self.sensors.iter().flat_map(|sensor| sensor.places_m).collect()
     }
 
     /// The point that paths are those of: the mean of the places, m, body axes.
@@ -175,14 +159,15 @@ impl ArrayGeometry {
     /// Reads a JSON object as [`write`](Self::write) writes it, or places as a CSV table: three rows `x`,
     /// `y`, `z` in m with one column a sensor, or one row a sensor with columns `X (m)`, `Y (m)`, `Z (m)`,
     /// or `X (mm)`, …. A table whose places are more than 1 m apart is refused: an array as large as that is
-    /// given as JSON. Where there is no such file, [`preset`](super::preset) has a name such as `cube:100mm`.
+    /// given as JSON. A name such as
+    /// `four:30mm` is an arrangement, where there is no such file.
     ///
     /// # Errors
     /// `file_unreadable`, `csv_bad_number`, `csv_missing_column`, `bad_calibration`.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         if !path.exists()
-            && let Some(preset) = super::preset(&name)
+            && let Some(preset) = preset(&name)
         {
             return preset;
         }
@@ -212,16 +197,8 @@ impl ArrayGeometry {
                 Self::SCHEMA
             )));
         }
-        if geometry.sensors.is_empty() == geometry.axes.is_empty() {
-            return Err(bad("it has neither `sensors` nor `axes`, or both".to_owned()));
-        }
-        for (index, axis) in geometry.axes.iter().enumerate() {
-            let finite = axis.place_m.iter().chain(&axis.direction).all(|v| v.is_finite());
-            if !finite || axis.direction.iter().all(|v| *v == 0.0) {
-                return Err(bad(format!(
-                    "axis {index} (from 0) has a place or direction that is no number, or no direction"
-                )));
-            }
+        if geometry.sensors.is_empty() {
+            return Err(bad("it has no `sensors`".to_owned()));
         }
         let known = [geometry.place_sd_mm, geometry.delay_sd_us];
         if known.into_iter().flatten().any(|sd| !(sd > 0.0 && sd.is_finite())) {
@@ -314,4 +291,45 @@ fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
         .skip(1)
         .map(|row| Ok([number(row, x)?, number(row, y)?, number(row, z)?].map(|v| v * unit)))
         .collect()
+}
+
+/// The geometry of a name such as `four:30mm`, `octahedron:0.03m` or `board:9.5mm,2mm`; `None` where it is no name of one.
+fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
+    let (name, lengths) = text.split_once(':')?;
+    let lengths: Option<Vec<f64>> = lengths.split(',').map(metres).collect();
+    let places: Vec<[f64; 3]> = match (name, lengths.as_deref()) {
+        ("four", Some([arm])) => triads(Geometry::<12>::four_triads(*arm, 1.0)),
+        ("octahedron", Some([arm])) => triads(Geometry::<18>::octahedron(*arm, 1.0)),
+        ("board", Some([side, thickness])) => {
+            triads(Geometry::<24>::eight_triads_board(*side, *thickness, 1.0))
+        }
+        // A name of a file.
+        (name, None) if !["four", "octahedron", "board"].contains(&name) => return None,
+        _ => {
+            let message = format!("`{text}` is no arrangement with its lengths");
+            let remedy = "give four:ARM (four triads at alternate corners of a cube), octahedron:ARM or \
+                          board:HALF_SIDE,HALF_THICKNESS (eight triads), lengths in mm or m, for example four:30mm";
+            return Some(Err(Code::Usage.error(message, remedy)));
+        }
+    };
+    Some(Ok(ArrayGeometry::at(&places)))
+}
+
+/// Positions of the triads of an arrangement of positive lengths.
+fn triads<const M: usize>(
+    geometry: std::result::Result<Geometry<M>, GeometryError>,
+) -> Vec<[f64; 3]> {
+    let axes = geometry.iter().flat_map(|geometry| geometry.axes().iter().step_by(3));
+    axes.map(|axis| axis.position_m).collect()
+}
+
+/// `100mm` or `0.1m`, positive.
+fn metres(text: &str) -> Option<f64> {
+    let text = text.trim();
+    let (number, unit) = match text.strip_suffix("mm") {
+        Some(number) => (number, 1e-3),
+        None => (text.strip_suffix('m')?, 1.0),
+    };
+    let value = number.trim().parse::<f64>().ok()? * unit;
+    (value > 0.0 && value.is_finite()).then_some(value)
 }

@@ -1,9 +1,7 @@
 //! The motion of a body with an array: its angular rate, and where it is.
 
-use wimu_nav::array::{
-    ArrayConfig, ArrayFault, ArrayFilter, ArraySolver, ArrayState, Axis, Geometry, Observation,
-    Spread, Step, track,
-};
+use nalgebra::{Matrix3, Vector3};
+use wimu_nav::array::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Axis, Geometry};
 
 use super::calibration::BIAS_MPS2;
 use super::fit::{Agreement, Fitted};
@@ -13,20 +11,10 @@ use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
 /// Output that stands for a sensor at its limit, m/s².
-pub(super) const AT_LIMIT_MPS2: f64 = 1e6;
-
-/// The angular rate of a body through a recording, from accelerometers alone.
-#[derive(Clone, Debug)]
-pub struct ArrayMotion {
-    /// ω from all samples, rad/s, body axes.
-    pub rate_rad_s: Vec<[f64; 3]>,
-    /// Its covariance, (rad/s)², with what errors of lever arms and time stamps add: equations (102), (105).
-    pub rate_covariance: Vec<[[f64; 3]; 3]>,
-    /// How the angular rate moves, found from the recording.
-    pub spread: Spread,
-    /// Mean NIS per degree of freedom.
-    pub nis: f64,
-}
+const AT_LIMIT_MPS2: f64 = 1e6;
+/// Squared difference of the angular rates of both directions of time, over their covariances, from which they contradict each
+/// other: χ² with three degrees of freedom, probability 10⁻³.
+const CONTRADICTS: f64 = 16.3;
 
 /// Calls a function for the room that the sensors need.
 macro_rules! with_room {
@@ -35,9 +23,8 @@ macro_rules! with_room {
             0..=4 => $function::<12>($($argument),*),
             5..=8 => $function::<24>($($argument),*),
             9..=16 => $function::<48>($($argument),*),
-            many => Err(Code::Usage.error(format!("{many} sensors are more than 16"),
-                "leave some out",
-            )),
+            many => Err($crate::Code::Usage
+                .error(format!("{many} sensors are more than 16"), "leave some out")),
         }
     };
 }
@@ -81,15 +68,6 @@ impl<'a> ArrayBody<'a> {
         self.agreement.as_ref()
     }
 
-    /// The angular rate from the whole recording, later samples too. Samples in which a sensor that is used has no output are
-    /// carried over.
-    ///
-    /// # Errors
-    /// `data_refused` when the geometry shows no angular rate.
-    pub fn angular_rate(&self) -> Result<ArrayMotion> {
-        with_room!(self.geometry.sensors.len(), smoothed(self))
-    }
-
     /// What the filter of the array knows after each sample, from the samples up to it, and what it met on
     /// the way. `gravity_mps2` is the length of gravity in the recording's own scale.
     ///
@@ -100,17 +78,52 @@ impl<'a> ArrayBody<'a> {
         gravity_mps2: f64,
         zupt: Zupt,
     ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
-        with_room!(self.geometry.sensors.len(), filtered(self, gravity_mps2, zupt))
+        let sensors = self.geometry.sensors.len();
+        let pass = with_room!(sensors, filtered(self, gravity_mps2, zupt, false))?;
+        let remarks = pass.remarks(zupt, self.calibration);
+        Ok((pass.states, remarks))
+    }
+
+    /// Angular rate, rad/s, and its covariance from the whole recording: that of `states` and that of the filter in reversed time,
+    /// in which the body rotates the other way, by covariance intersection (S. Julier and J. Uhlmann, "A non-divergent
+    /// estimation algorithm in the presence of unknown correlations", American Control Conference, 1997), equation (80).
+    ///
+    /// # Errors
+    /// Those of [`navigated`](Self::navigated).
+    pub fn smooth_rates(
+        &self,
+        states: &mut [ArrayState<f64>],
+        gravity_mps2: f64,
+        zupt: Zupt,
+    ) -> Result<()> {
+        let sensors = self.geometry.sensors.len();
+        let mut reversed = with_room!(sensors, filtered(self, gravity_mps2, zupt, true))?;
+        reversed.states.reverse();
+        for (state, other) in states.iter_mut().zip(&reversed.states) {
+            let other = (-Vector3::from(other.rate_rad_s), other.rate_covariance.into());
+            let own = (state.rate_rad_s.into(), state.rate_covariance.into());
+            let (rate, covariance) = intersection(own, other);
+            (state.rate_rad_s, state.rate_covariance) = (rate.into(), covariance.into());
+        }
+        Ok(())
     }
 }
 
+type Rate = (Vector3<f64>, Matrix3<f64>);
+
+/// Of two estimates whose errors may be correlated; the surer one where they contradict each other.
+fn intersection(a: Rate, b: Rate) -> Rate {
+    let surer = if a.1.trace() <= b.1.trace() { a } else { b };
+    let Some((p, q)) = a.1.try_inverse().zip(b.1.try_inverse()) else {
+        return surer;
+    };
+    let apart = a.0 - b.0;
+    let distance = (a.1 + b.1).try_inverse().map_or(f64::NAN, |sum| apart.dot(&(sum * apart)));
+    let covariance = ((p + q) * 0.5).try_inverse().filter(|_| distance < CONTRADICTS);
+    covariance.map_or(surer, |covariance| (covariance * (p * a.0 + q * b.0) * 0.5, covariance))
+}
+
 pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
-    if !geometry.axes.is_empty() {
-        return Err(Code::Usage.error(
-            "single axes are neither calibrated nor refined: nothing tells their errors apart",
-            "navigate with the geometry as it is; for a calibration give triads",
-        ));
-    }
     if geometry.sensors.len() == recording.sensors() {
         return Ok(());
     }
@@ -170,18 +183,9 @@ pub(super) fn axes_of<const M: usize>(
     Geometry::from_grouped_axes(&axes.collect::<Vec<_>>(), 3).map_err(refused)
 }
 
-/// One sample of all axes, corrected; a sensor that is not used is not a number, one at its limit far
-/// beyond any.
-pub(super) fn sample<const M: usize>(
-    recording: &ArrayRecording,
-    calibration: &ArrayCalibration,
-    index: usize,
-) -> [f64; M] {
-    sample_since(recording, calibration, index, calibration.offset_of(index))
-}
-
-/// The same without what the sensors added at rest `rest`.
-fn sample_since<const M: usize>(
+/// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used is not a number,
+/// one at its limit far beyond any.
+fn sample<const M: usize>(
     recording: &ArrayRecording,
     calibration: &ArrayCalibration,
     index: usize,
@@ -201,79 +205,38 @@ fn sample_since<const M: usize>(
     output
 }
 
-fn smoothed<const M: usize>(body: &ArrayBody<'_>) -> Result<ArrayMotion> {
-    let (recording, geometry, calibration) = (body.recording, body.geometry, body.calibration);
-    let axes = axes::<M>(geometry, calibration)?;
-    let solver =
-        ArraySolver::<f64, M>::of(&axes, |sensor| calibration.uses(sensor)).map_err(refused)?;
-    let mut last = recording.times_s[0];
-    let observations: Vec<Observation> = (0..recording.times_s.len())
-        .map(|index| {
-            let mut output = sample::<M>(recording, calibration, index);
-            let sound = (0..recording.sensors()).all(|sensor| {
-                let used = calibration.uses(sensor);
-                let axes = &mut output[3 * sensor..3 * sensor + 3];
-                let good = axes.iter().all(|v| v.abs() < AT_LIMIT_MPS2);
-                if !used {
-                    axes.fill(0.0);
-                }
-                good || !used
-            });
-            let linear = solver.reduce(&output);
-            let step_s = recording.times_s[index] - last;
-            last = recording.times_s[index];
-            Observation {
-                step_s,
-                linear: sound.then_some(linear),
-                excess: solver.excess(&output, &linear).filter(|_| sound).unwrap_or(1.0),
-            }
-        })
-        .collect();
-    let mut steps = vec![Step::default(); observations.len()];
-    let found = track(&solver, solver.variance_mps2(), &observations, &mut steps)
-        .ok_or_else(|| refused("the sensors' places show no angular rate"))?;
-    let relative = solver.rate_error(body.place_sd_m);
-    Ok(ArrayMotion {
-        rate_rad_s: steps.iter().map(|s| s.rate_rad_s).collect(),
-        rate_covariance: steps.iter().map(|s| reported(s, relative)).collect(),
-        spread: found.spread,
-        nis: found.nis,
-    })
-}
-
-/// Covariance of the angular rate with the errors of the lever arms, equation (105), and of the time stamps, (102).
-fn reported(step: &Step, relative: f64) -> [[f64; 3]; 3] {
-    let late = (step.angular_acceleration_rad_s2).map(|w| w * ArrayConfig::default().time_sd_s);
-    let arms = relative * relative * step.rate_rad_s.iter().map(|w| w * w).sum::<f64>();
-    let mut covariance = step.covariance;
-    for (i, row) in covariance.iter_mut().enumerate() {
-        for (value, other) in row.iter_mut().zip(late) {
-            *value += late[i] * other;
-        }
-        row[i] += arms;
-    }
-    covariance
-}
-
 /// Whether the rate may be zero: within three of its deviations.
 fn may_rest(state: Option<&ArrayState<f64>>) -> bool {
     state.is_none_or(|state| {
-        let rate = state.rate_rad_s;
-        let square: f64 = rate.iter().map(|w| w * w).sum();
-        let along: f64 = (0..3)
-            .flat_map(|i| (0..3).map(move |j| rate[i] * state.rate_covariance[i][j] * rate[j]))
-            .sum();
-        square * square <= 9.0 * along
+        let rate = Vector3::from(state.rate_rad_s);
+        let along = rate.dot(&(Matrix3::from(state.rate_covariance) * rate));
+        rate.norm_squared().powi(2) <= 9.0 * along
     })
 }
 
+/// What a filter knew after each sample, and what it met on the way.
+struct Pass {
+    states: Vec<ArrayState<f64>>,
+    /// Whether it began in motion, once that is known.
+    moving_start: bool,
+    gaps: usize,
+    backwards: usize,
+    saturated: usize,
+    blind: usize,
+    recoveries: usize,
+    /// Samples without each sensor.
+    without: Vec<usize>,
+}
+
+/// Runs the filter over the recording, or over the same in reversed time.
 fn filtered<const M: usize>(
     body: &ArrayBody<'_>,
     gravity_mps2: f64,
     zupt: Zupt,
-) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
-    let (recording, geometry, calibration) = (body.recording, body.geometry, body.calibration);
-    let axes = axes::<M>(geometry, calibration)?;
+    reversed: bool,
+) -> Result<Pass> {
+    let (recording, calibration) = (body.recording, body.calibration);
+    let axes = axes::<M>(body.geometry, calibration)?;
     let used = (0..recording.sensors()).filter(|sensor| calibration.uses(*sensor)).count();
     let config = ArrayConfig {
         gravity_mps2,
@@ -289,107 +252,107 @@ fn filtered<const M: usize>(
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };
-    let filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
-    let mut offset = calibration.offset_of(0);
-    let uses = |sensor: usize| calibration.uses(sensor);
-    Ok(followed(recording, filter, zupt, &uses, |filter, index, state| {
+    let mut filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
+    let count = recording.times_s.len();
+    let order = |k: usize| if reversed { count - 1 - k } else { k };
+    let mut pass = Pass {
+        states: Vec::with_capacity(count),
+        moving_start: false,
+        gaps: 0,
+        backwards: 0,
+        saturated: 0,
+        blind: 0,
+        recoveries: 0,
+        without: vec![0; recording.sensors()],
+    };
+    let mut offset = calibration.offset_of(order(0));
+    let (mut begun, mut last_s) = (false, recording.times_s[order(0)]);
+    // Start of the path since the last rest.
+    let mut start = 0;
+    for k in 0..count {
+        let index = order(k);
         // An even turn about the vertical may look like a rest: a window with a measured rate other than zero is not a rest.
-        if calibration.offset_of(index) != offset && may_rest(state) {
-            offset = calibration.offset_of(index);
+        let rest = calibration.offset_of(index);
+        if rest != offset && may_rest(pass.states.last()) {
+            offset = rest;
             filter.residual_biases_taken_off();
         }
-        sample_since::<M>(recording, calibration, index, offset)
-    }))
-}
-
-/// What a filter knows after each sample of a recording, and what it met on the way; `output` is told the state before.
-pub(super) fn followed<const M: usize>(
-    recording: &ArrayRecording,
-    mut filter: ArrayFilter<M>,
-    zupt: Zupt,
-    uses: &dyn Fn(usize) -> bool,
-    mut output: impl FnMut(&mut ArrayFilter<M>, usize, Option<&ArrayState<f64>>) -> [f64; M],
-) -> (Vec<ArrayState<f64>>, Vec<String>) {
-    let mut states = Vec::with_capacity(recording.times_s.len());
-    let (mut gaps, mut backwards, mut blind) = (0_usize, 0_usize, 0_usize);
-    let mut saturated = 0_usize;
-    let mut moving_start = None;
-    let mut without = vec![0_usize; recording.sensors()];
-    let mut last = recording.times_s[0];
-    // Start of the path since the last rest, and rests whose test failed.
-    let (mut start, mut recoveries) = (0, 0);
-    for (index, time) in recording.times_s.iter().enumerate() {
-        let output = output(&mut filter, index, states.last());
-        let pushed = filter.push(time - last, &output);
-        last = last.max(*time);
+        let time_s = recording.times_s[index];
+        let step_s = if reversed { last_s - time_s } else { time_s - last_s };
+        let pushed = filter.push(step_s, &sample::<M>(recording, calibration, index, offset));
+        if step_s > 0.0 {
+            last_s = time_s;
+        }
         match pushed {
             Ok(dropped) => {
-                saturated += usize::from(dropped.saturated != 0);
-                for (sensor, count) in without.iter_mut().enumerate() {
+                pass.saturated += usize::from(dropped.saturated != 0);
+                for (sensor, count) in pass.without.iter_mut().enumerate() {
                     *count += (dropped.dead >> sensor & 1) as usize;
                 }
             }
-            Err(ArrayFault::Gap) => gaps += 1,
-            Err(ArrayFault::NoTime) => backwards += 1,
-            Err(_) => blind += 1,
+            Err(ArrayFault::Gap) => pass.gaps += 1,
+            Err(ArrayFault::NoTime) => pass.backwards += 1,
+            Err(_) => pass.blind += 1,
         }
         let state = filter.state();
         // Aligned: whether at rest.
-        if state.certainty > 0.0 {
-            moving_start.get_or_insert(!state.valid);
+        if state.certainty > 0.0 && !begun {
+            (begun, pass.moving_start) = (true, !state.valid);
         }
-        states.push(state);
-        if filter.recoveries() != recoveries {
-            recoveries = filter.recoveries();
-            for state in &mut states[start..index] {
-                state.valid = false;
-            }
+        pass.states.push(state);
+        if filter.recoveries() as usize != pass.recoveries {
+            pass.recoveries = filter.recoveries() as usize;
+            pass.states[start..k].iter_mut().for_each(|state| state.valid = false);
         }
         if state.resting && zupt.is_on() {
-            start = index + 1;
+            start = k + 1;
         }
     }
-    let mut remarks = Vec::new();
-    if moving_start == Some(true) {
-        remarks.push(
-            "no rest at the start: neither velocity nor attitude are known before the first rest, where \
-             the position begins"
-                .to_owned(),
-        );
-    } else if !zupt.is_on() {
-        remarks.push(
-            "it stands still at the start: its velocity and angular rate are taken for zero there"
-                .to_owned(),
-        );
-    }
-    let mut remark = |count: usize, one: &str, what: &str| {
-        if count > 0 {
-            remarks.push(format!("{} {what}", counted(count, one)));
+    Ok(pass)
+}
+
+impl Pass {
+    fn remarks(&self, zupt: Zupt, calibration: &ArrayCalibration) -> Vec<String> {
+        let mut remarks = Vec::new();
+        if self.moving_start {
+            remarks.push(
+                "no rest at the start: neither velocity nor attitude are known before the first rest, where \
+                 the position begins"
+                    .to_owned(),
+            );
+        } else if !zupt.is_on() {
+            remarks.push(
+                "it stands still at the start: its velocity and angular rate are taken for zero there"
+                    .to_owned(),
+            );
         }
-    };
-    remark(
-        gaps,
-        "gap",
-        "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
-    );
-    remark(backwards, "sample", "whose time stood still or went back: left out");
-    remark(saturated, "sample", "without the sensors that were at their limit");
-    remark(blind, "sample", "with too few sensors: the angular rate is carried over");
-    remark(
-        recoveries as usize,
-        "rest",
-        "at which the estimated velocity was not zero: the path since the rest before is not valid; check \
-         the positions of the sensors and their sensitivity",
-    );
-    let absent = without.iter().enumerate();
-    let absent = absent.filter(|(sensor, count)| **count > 0 && uses(*sensor));
-    let absent: Vec<String> =
-        absent.map(|(sensor, count)| format!("{count} of sensor {sensor}")).collect();
-    if !absent.is_empty() {
-        remarks.push(format!(
-            "samples that a sensor (from 0) did not give, or that were left out: {}",
-            absent.join(", ")
-        ));
+        let met = [
+            (
+                self.gaps,
+                "gap",
+                "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
+            ),
+            (self.backwards, "sample", "whose time stood still or went back: left out"),
+            (self.saturated, "sample", "without the sensors that were at their limit"),
+            (self.blind, "sample", "with too few sensors: the angular rate is carried over"),
+            (
+                self.recoveries,
+                "rest",
+                "at which the estimated velocity was not zero: the path since the rest before is not valid; check the positions of the sensors and their sensitivity",
+            ),
+        ];
+        let met = met.into_iter().filter(|(count, ..)| *count > 0);
+        remarks.extend(met.map(|(count, one, what)| format!("{} {what}", counted(count, one))));
+        let absent = self.without.iter().enumerate();
+        let absent = absent.filter(|(sensor, count)| **count > 0 && calibration.uses(*sensor));
+        let absent: Vec<String> =
+            absent.map(|(sensor, count)| format!("{count} of sensor {sensor}")).collect();
+        if !absent.is_empty() {
+            remarks.push(format!(
+                "samples that a sensor (from 0) did not give, or that were left out: {}",
+                absent.join(", ")
+            ));
+        }
+        remarks
     }
-    (states, remarks)
 }

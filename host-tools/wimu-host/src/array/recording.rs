@@ -1,19 +1,18 @@
 //! A recording of several accelerometers: of one table, or of several boards brought to one time.
 
-use std::ops::Range;
 use std::path::Path;
 
+use nalgebra::Vector3;
 use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
-use crate::capture::{Boot, Capture};
+use crate::capture::{Boot, Capture, Link};
 use crate::formats::{self, ReadOptions};
-use crate::motion::{FULL_SCALE_MPS2, Truth};
+use crate::motion::{FULL_SCALE_MPS2, Truth, median_step_s};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Track, Unit};
-use crate::series::{Series, period_s};
-use crate::stats::norm;
+use crate::series::{Flags, Interp, Ns, Series};
 use crate::units::RawUnits;
 use crate::{Code, Result};
 
@@ -27,8 +26,8 @@ const MOST_SENSORS: usize = 32;
 /// Samples of several accelerometers at common times.
 #[derive(Clone, Debug, Default)]
 pub struct ArrayRecording {
-    /// Time of the origin of `times_s`, s, as in the file.
-    pub start_s: f64,
+    /// Time of the origin of `times_s`, ns, as in the file.
+    pub start_ns: i64,
     /// Time of each sample, s.
     pub times_s: Vec<f64>,
     /// X, Y, Z of each sensor, m/s², sample by sample; not a number where a sensor has none.
@@ -53,55 +52,9 @@ impl ArrayRecording {
     /// # Errors
     /// Those of [`formats::load`]; `csv_missing_column` without times or with one accelerometer only.
     pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
-        let table = Table::read(path, sensitivity_lsb_per_g, 2)?;
-        let mut recording = table.recording;
-        recording.start_s = table.first_ns as f64 * 1e-9;
-        recording.say_absent();
+        let mut recording = Self::of_table(path, sensitivity_lsb_per_g, 2)?;
         recording.leave_out_beyond();
         Ok(recording.judged())
-    }
-
-    /// Reads a CSV file with the columns that the single axes of a geometry name, `Accelerometer 0 (m/s²)`, … where they name
-    /// none: each axis is the X of a sensor, whose Y and Z are not numbers.
-    ///
-    /// # Errors
-    /// Those of [`formats::load`]; `csv_missing_column` without times or a column that is named.
-    pub fn axes_from_csv(
-        path: &Path,
-        geometry: &ArrayGeometry,
-        sensitivity_lsb_per_g: f64,
-    ) -> Result<Self> {
-        let table = Table::read(path, sensitivity_lsb_per_g, 0)?;
-        let mut recording = table.recording;
-        recording.start_s = table.first_ns as f64 * 1e-9;
-        let count = recording.times_s.len();
-        recording.outputs = vec![Vec::with_capacity(geometry.axes.len()); count];
-        recording.saturated = vec![0; count];
-        for (k, axis) in geometry.axes.iter().enumerate() {
-            let name = axis.column_name(k);
-            let mut found = None;
-            for (column, values) in &recording.other {
-                if let Some(unit) = formats::acceleration_unit(column, &name)? {
-                    found = Some((unit, values));
-                }
-            }
-            let Some((unit, values)) = found else {
-                return Err(Code::CsvMissingColumn.error(format!("there is no column `{name}` for axis {k} (from 0)"),
-                    "name the columns of single axes `Accelerometer 0 (m/s²)`, `Accelerometer 1 (m/s²)`, … in the order of \
-                     the geometry, or give each axis its `column` in the geometry's JSON",
-                )
-                .at(format!("{} line 1", recording.name)));
-            };
-            let mps2 = unit.unwrap_or(STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g);
-            let rows = recording.outputs.iter_mut().zip(&mut recording.saturated);
-            for ((row, bits), value) in rows.zip(values) {
-                let at_limit = unit.is_none() && value.abs() >= LIMIT_COUNTS;
-                *bits |= u32::from(at_limit) << k;
-                row.push([value * mps2, f64::NAN, f64::NAN]);
-            }
-        }
-        recording.leave_out_beyond();
-        Ok(recording.judged_axes())
     }
 
     /// Makes what is beyond any accelerometer's full scale not a number, and says so, but for outputs that are known to be
@@ -123,7 +76,7 @@ impl ArrayRecording {
                 "more than any accelerometer's full scale, {FULL_SCALE_MPS2:.0} m/s², in {}, first at {:.2} s: left \
                  out, as if they were missing",
                 counted(count, "output"),
-                self.start_s + self.times_s[k]
+                Ns(self.start_ns).s() + self.times_s[k]
             ));
         }
     }
@@ -141,35 +94,23 @@ impl ArrayRecording {
                 "give the recording of each board, in the order of the geometry",
             ));
         }
-        let origin = boards.iter().map(|b| b.origin_ns).min().unwrap_or_default();
-        let series: Vec<Series> = boards.iter().map(|b| b.series(origin)).collect();
-        let slowest = series.iter().max_by(|a, b| a.period_s.total_cmp(&b.period_s));
-        let from = series.iter().filter_map(|s| s.times_s.first().copied());
-        let to = series.iter().filter_map(|s| s.times_s.last().copied());
-        let (from, to) = (from.fold(0.0, f64::max), to.fold(f64::INFINITY, f64::min));
-        let times_s: Vec<f64> = slowest.map_or(Vec::new(), |s| {
-            let within = |t: &f64| (from..=to).contains(t);
-            s.times_s.iter().copied().filter(within).collect()
-        });
-        if times_s.len() < 4 {
-            return Err(Code::DataRefused.error(format!(
-                    "the boards' recordings have no time in common: from the first, the last begins \
-                     after {from:.1} s and one ends after {to:.1} s"
-                ),
-                "record all boards at once, on one computer or on computers whose clocks agree",
-            ));
-        }
+        let starts = boards.iter().filter_map(|b| Some(b.force.span()?[0]));
+        let origin = starts.min().unwrap_or_default();
+        let from_origin = |time: &Ns| Ns(time.0 - origin.0);
+        let series: Vec<_> = boards.iter().map(|b| b.force.retimed(from_origin)).collect();
+        let mut recording = Self::interpolated(&series, common_times_s(&series)?);
         let names: Vec<&str> = boards.iter().map(|b| b.name.as_str()).collect();
-        let mut recording = Self::interpolated(&series, times_s);
         recording.name = names.join(", ");
         recording.sensitivities = boards.iter().map(|b| b.sensitivity_lsb_per_g).collect();
         for (board, series) in boards.iter().zip(&series) {
-            let clock = match board.clock_sd_s {
-                Some(sd) => format!("its clock known to {:.0} µs", sd * 1e6),
-                None => "its times are taken as the table has them: nothing tells how far its clock is off"
-                    .to_owned(),
-            };
-            let rate = 1.0 / series.period_s;
+            let clock = board.clock_sd_s.map_or_else(
+                || {
+                    "its times are taken as the table has them; `--refine` finds a constant delay"
+                        .to_owned()
+                },
+                |sd| format!("its clock known to {:.0} µs", sd * 1e6),
+            );
+            let rate = 1.0 / series.period_s();
             recording.remarks.push(format!("{}: {rate:.2} Hz, {clock}", board.name));
             if board.without_unit > 0 {
                 recording.remarks.push(format!(
@@ -178,24 +119,11 @@ impl ArrayRecording {
                 ));
             }
         }
-        let jerk = recording.jerk_rms();
-        let clocks: Option<Vec<f64>> = boards.iter().map(|b| b.clock_sd_s).collect();
-        recording.remarks.push(match clocks {
-            Some(clocks) => format!(
-                "at the motion's jerk of {jerk:.0} m/s³ the clocks add up to {:.3} m/s²",
-                jerk * clocks.into_iter().fold(0.0, f64::max)
-            ),
-            None => format!(
-                "at the motion's jerk of {jerk:.0} m/s³ each ms by which a clock is off adds {:.3} m/s², which no \
-                 deviation says; `--refine` finds constant delays",
-                jerk * 1e-3
-            ),
-        });
         Ok(recording.judged())
     }
 
     /// Each series at the same times.
-    fn interpolated(series: &[Series], times_s: Vec<f64>) -> Self {
+    fn interpolated(series: &[Series<Vector3<f64>>], times_s: Vec<f64>) -> Self {
         let mut recording = Self {
             outputs: vec![Vec::with_capacity(series.len()); times_s.len()],
             saturated: vec![0; times_s.len()],
@@ -203,15 +131,17 @@ impl ArrayRecording {
         };
         let (mut squares, mut count, mut missing) = (0.0, 0.0, 0_usize);
         for (sensor, series) in series.iter().enumerate() {
-            for (k, (value, doubt, limit)) in series.sampled(&times_s).enumerate() {
-                recording.outputs[k].push(value);
-                recording.saturated[k] |= u32::from(limit) << sensor;
-                if value[0].is_nan() {
+            let times = times_s.iter().map(|time_s| Ns::from_s(*time_s));
+            for (k, at) in series.on(times, Interp::Cubic).enumerate() {
+                let Some(at) = at else {
+                    recording.outputs[k].push([f64::NAN; 3]);
                     missing += 1;
-                } else {
-                    squares += doubt * doubt;
-                    count += 1.0;
-                }
+                    continue;
+                };
+                recording.outputs[k].push(at.value.into());
+                recording.saturated[k] |= u32::from(at.flags.is_saturated()) << sensor;
+                squares += at.error * at.error;
+                count += 1.0;
             }
         }
         if count > 0.0 {
@@ -248,7 +178,7 @@ impl ArrayRecording {
 
     /// The same with each sensor's samples taken so much later than their times say, s, where all sensors still have
     /// samples around: the first and last ones are cut off.
-    pub(super) fn shifted(self, delays_s: &[f64]) -> Self {
+    fn shifted(mut self, delays_s: &[f64]) -> Self {
         let count = self.times_s.len();
         let moves = |delay: &&f64| **delay != 0.0;
         let (least, most) = (delays_s.iter().filter(moves))
@@ -260,27 +190,20 @@ impl ArrayRecording {
         let (from, to) = (self.times_s[1] + most, self.times_s[count - 2] + least);
         let first = self.times_s.partition_point(|t| *t < from);
         let end = self.times_s.partition_point(|t| *t < to).max(first);
-        self.moved(delays_s, first..end)
-    }
-
-    /// The same at some of its times.
-    fn moved(mut self, delays_s: &[f64], at: Range<usize>) -> Self {
-        let period_s = self.period_s();
-        let series: Vec<Series> = delays_s
-            .iter()
-            .enumerate()
-            .map(|(sensor, delay)| Series {
-                times_s: self.times_s.iter().map(|t| t + delay).collect(),
-                values: self.outputs.iter().map(|row| row[sensor]).collect(),
-                saturated: self.saturated.iter().map(|s| s >> sensor & 1 == 1).collect(),
-                period_s,
-            })
-            .collect();
-        let moved = Self::interpolated(&series, self.times_s[at.clone()].to_vec());
+        let late = |(sensor, delay_s): (usize, &f64)| {
+            let rows = (0..count).map(|k| {
+                let flags = Flags::saturated(self.saturated[k] >> sensor & 1 == 1);
+                let time = Ns::from_s(self.times_s[k] + delay_s);
+                (time, self.outputs[k][sensor].into(), flags)
+            });
+            Series::flagged(rows)
+        };
+        let series: Vec<_> = delays_s.iter().enumerate().map(late).collect();
+        let moved = Self::interpolated(&series, self.times_s[first..end].to_vec());
         self.remarks.extend(moved.remarks);
         for (_, values) in &mut self.other {
-            values.truncate(at.end);
-            values.drain(..at.start.min(values.len()));
+            values.truncate(end);
+            values.drain(..first.min(values.len()));
         }
         Self { times_s: moved.times_s, outputs: moved.outputs, saturated: moved.saturated, ..self }
     }
@@ -299,7 +222,7 @@ impl ArrayRecording {
 
     /// Median time between samples, s.
     pub fn period_s(&self) -> f64 {
-        period_s(&self.times_s)
+        median_step_s(&self.times_s)
     }
 
     /// Three columns of the file sample by sample, where all are numbers; none without the columns.
@@ -320,7 +243,8 @@ impl ArrayRecording {
     /// Where the body truly was, from columns `Truth Position E (m)`, … and `Truth Quaternion W`, ….
     pub fn truth(&self) -> Vec<Option<Truth>> {
         let positions = self.vectors(["E", "N", "U"].map(|a| format!("Truth Position {a} (m)")));
-        let quaternion = self.true_quaternion();
+        let quaternion =
+            self.columns(["W", "X", "Y", "Z"].map(|a| format!("Truth Quaternion {a}")));
         let truth = |(k, position): (usize, Option<[f64; 3]>)| {
             Some(Truth {
                 position_m: position?,
@@ -330,102 +254,64 @@ impl ArrayRecording {
         positions.into_iter().enumerate().map(truth).collect()
     }
 
-    fn true_quaternion(&self) -> Vec<[f64; 4]> {
-        self.columns(["W", "X", "Y", "Z"].map(|a| format!("Truth Quaternion {a}")))
-    }
-
-    /// The true angular rate, rad/s, body axes: from columns `Truth Angular Rate X (rad/s)`, …, or else from
-    /// the true attitudes before and after each sample.
+    /// The true angular rate, rad/s, body axes, from columns `Truth Angular Rate X (rad/s)`, ….
     pub fn true_rate_rad_s(&self) -> Vec<Option<[f64; 3]>> {
-        let given =
-            self.vectors(["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")));
-        if !given.is_empty() {
-            return given;
-        }
-        let all = self.true_quaternion();
-        (0..all.len())
-            .map(|k| {
-                let [aw, ax, ay, az] = *all.get(k.checked_sub(1)?)?;
-                let [bw, bx, by, bz] = *all.get(k + 1)?;
-                let step = self.times_s[k + 1] - self.times_s[k - 1];
-                // The turn from a to b.
-                let w = aw * bw + ax * bx + ay * by + az * bz;
-                let v = [
-                    aw * bx - ax * bw - ay * bz + az * by,
-                    aw * by + ax * bz - ay * bw - az * bx,
-                    aw * bz - ax * by + ay * bx - az * bw,
-                ];
-                let sine = norm(v);
-                let by =
-                    if sine > 0.0 { 2.0 * sine.atan2(w.abs()) / sine * w.signum() } else { 0.0 };
-                Some(v.map(|c| c * by / step)).filter(|r| r.iter().all(|c| c.is_finite()))
-            })
-            .collect()
-    }
-
-    /// Root mean square change of the outputs, m/s³ an axis.
-    fn jerk_rms(&self) -> f64 {
-        let (mut squares, mut count) = (0.0, 0.0);
-        for k in 1..self.outputs.len() {
-            let dt = self.times_s[k] - self.times_s[k - 1];
-            for (a, b) in self.outputs[k].iter().zip(&self.outputs[k - 1]) {
-                for axis in 0..3 {
-                    let jerk = (a[axis] - b[axis]) / dt;
-                    if jerk.is_finite() {
-                        squares += jerk * jerk;
-                        count += 1.0;
-                    }
-                }
-            }
-        }
-        f64::sqrt(squares / f64::max(count, 1.0))
+        self.vectors(["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")))
     }
 }
 
-/// Samples of accelerometers at the times of the first one.
-struct Table {
-    recording: ArrayRecording,
-    first_ns: i64,
+/// Times of the slowest series at which all have samples, s.
+fn common_times_s(series: &[Series<Vector3<f64>>]) -> Result<Vec<f64>> {
+    let slowest = series.iter().max_by(|a, b| a.period_s().total_cmp(&b.period_s()));
+    let spans = || series.iter().filter_map(Series::span);
+    let from = spans().map(|[from, _]| from.s()).fold(0.0, f64::max);
+    let to = spans().map(|[_, to]| to.s()).fold(f64::INFINITY, f64::min);
+    let times = slowest.into_iter().flat_map(|series| &series.t);
+    let times_s: Vec<f64> = times.map(|t| t.s()).filter(|t| (from..=to).contains(t)).collect();
+    if times_s.len() >= 4 {
+        return Ok(times_s);
+    }
+    let message = format!(
+        "the boards' recordings have no time in common: from the first, the last begins after {from:.1} s and one ends after \
+         {to:.1} s"
+    );
+    let remedy = "record all boards at once, on one computer or on computers whose clocks agree";
+    Err(Code::DataRefused.error(message, remedy))
 }
 
-impl Table {
-    fn read(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
+impl ArrayRecording {
+    /// Reads a table with at least so many accelerometers, at the times of the first one.
+    fn of_table(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
         let file = formats::load(path, &ReadOptions::default())?;
         let forces: Vec<&Track> = file.of(Quantity::SpecificForce).collect();
         let sensors = forces.len();
-        let time = forces.first().copied().or(file.tracks().first());
-        let timed = time.filter(|track| !track.info.timeless);
+        let timed = forces.first().filter(|track| !track.info.timeless);
         let Some(time) = timed.filter(|_| (least..=MOST_SENSORS).contains(&sensors)) else {
-            return Err(Code::CsvMissingColumn.error(format!(
-                    "an array needs times and {least} to {MOST_SENSORS} accelerometers; there are \
-                     {sensors}"
-                ),
-                "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …",
-            )
-            .at(format!("{} line 1", file.name)));
+            let message = format!(
+                "an array needs times and {least} to {MOST_SENSORS} accelerometers; there are {sensors}"
+            );
+            let remedy = "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …";
+            let error = Code::CsvMissingColumn.error(message, remedy);
+            return Err(error.at(format!("{} line 1", file.name)));
         };
         let times = time.times_ns();
-        let first_ns = times.first().copied().unwrap_or_default();
-        let mut recording = ArrayRecording {
-            name: file.name.clone(),
-            times_s: times.iter().map(|t| (t - first_ns) as f64 * 1e-9).collect(),
-            saturated: vec![0; times.len()],
-            outputs: vec![Vec::with_capacity(sensors); times.len()],
-            remarks: (file.relevant(&[Code::RowsMasked, Code::Frozen]).iter())
-                .map(ToString::to_string)
-                .collect(),
-            ..ArrayRecording::default()
-        };
         if times.len() < 4 {
             let error = Code::NoRows.error("there are fewer than four samples", "check the file");
             return Err(error.at(&file.name));
         }
+        let masked = file.relevant(&[Code::RowsMasked, Code::Frozen]);
+        let mut recording = Self {
+            name: file.name.clone(),
+            start_ns: times[0],
+            times_s: times.iter().map(|t| Ns(*t).since_s(Ns(times[0]))).collect(),
+            saturated: vec![0; times.len()],
+            outputs: vec![Vec::with_capacity(sensors); times.len()],
+            remarks: masked.iter().map(ToString::to_string).collect(),
+            ..Self::default()
+        };
         for (sensor, force) in forces.iter().enumerate() {
             let counts = matches!(force.info.unit, Unit::Counts { .. });
-            let factor = match counts {
-                true => STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g,
-                false => 1.0,
-            };
+            let factor = if counts { STANDARD_GRAVITY_MPS2 / sensitivity_lsb_per_g } else { 1.0 };
             recording.sensitivities.push(counts.then_some(sensitivity_lsb_per_g));
             let mut values = force.beside(time);
             for (row, time_ns) in times.iter().enumerate() {
@@ -438,11 +324,9 @@ impl Table {
         for track in file.tracks() {
             recording.add_columns(track, time);
         }
-        Ok(Self { recording, first_ns })
+        Ok(recording)
     }
-}
 
-impl ArrayRecording {
     /// Adds truth and other columns by name.
     fn add_columns(&mut self, track: &Track, time: &Track) {
         let names: Vec<String> = match (track.info.quantity, track.info.origin) {
@@ -486,14 +370,8 @@ pub struct BoardOptions {
 pub struct Board {
     /// What remarks call it.
     pub name: String,
-    /// Host time of `times_s` = 0, ns UTC.
-    pub origin_ns: i64,
-    /// Host time of each sample by the clock model of its link, s since the origin.
-    pub times_s: Vec<f64>,
-    /// Its output, m/s².
-    pub values: Vec<[f64; 3]>,
-    /// Whether an axis was at its limit.
-    pub saturated: Vec<bool>,
+    /// Its output, m/s², at host times (UTC) by the clock model of its link.
+    pub force: Series<Vector3<f64>>,
     /// Standard deviation of the times, s: common to all of them, for the most part. `None` of a table.
     pub clock_sd_s: Option<f64>,
     /// Raw samples left out because the range may have changed there and no epoch tells.
@@ -511,116 +389,92 @@ impl Board {
     /// the board's clock.
     pub fn read(path: &Path, options: &BoardOptions) -> Result<Self> {
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
-            let table = Table::read(path, options.sensitivity_lsb_per_g, 1)?;
-            let mut recording = table.recording;
-            recording.leave_out_beyond();
-            if recording.sensors() != 1 {
-                return Err(Code::Usage
-                    .error(
-                        format!("it has {} accelerometers", recording.sensors()),
-                        "one of several boards has one; give a table of all by itself",
-                    )
-                    .at(recording.name));
-            }
-            return Ok(Self {
-                name: recording.name,
-                origin_ns: table.first_ns,
-                times_s: recording.times_s,
-                values: recording.outputs.iter().map(|row| row[0]).collect(),
-                saturated: recording.saturated.iter().map(|s| *s != 0).collect(),
-                clock_sd_s: None,
-                without_unit: 0,
-                sensitivity_lsb_per_g: recording.sensitivities.first().copied().flatten(),
-            });
+            return Self::of_table(path, options);
         }
         let recording = Capture::load(path)?;
-        let link = recording.link(options.link)?;
+        Self::of_link(&recording, recording.link(options.link)?, options)
+            .map_err(|error| error.at(&recording.name))
+    }
+
+    fn of_table(path: &Path, options: &BoardOptions) -> Result<Self> {
+        let mut table = ArrayRecording::of_table(path, options.sensitivity_lsb_per_g, 1)?;
+        table.leave_out_beyond();
+        if table.sensors() != 1 {
+            let message = format!("it has {} accelerometers", table.sensors());
+            let remedy = "one of several boards has one; give a table of all by itself";
+            return Err(Code::Usage.error(message, remedy).at(table.name));
+        }
+        let rows = (0..table.times_s.len()).map(|k| {
+            let time = Ns(table.start_ns).after_s(table.times_s[k]);
+            (time, table.outputs[k][0].into(), Flags::saturated(table.saturated[k] != 0))
+        });
+        Ok(Self {
+            force: Series::flagged(rows),
+            name: table.name,
+            clock_sd_s: None,
+            without_unit: 0,
+            sensitivity_lsb_per_g: table.sensitivities[0],
+        })
+    }
+
+    fn of_link(recording: &Capture, link: &Link, options: &BoardOptions) -> Result<Self> {
         let samples = |boot: &Boot| match options.raw {
             true => boot.raw().len(),
             false => boot.corrected().len().max(boot.raw().len()),
         };
         let no_rows = || {
             let raw = if options.raw { "raw " } else { "" };
-            Code::NoRows
-                .error(
-                    format!("no {raw}samples came over the {} link", link.role),
-                    "switch a stream on with `wimu device settings set`, or use the other link",
-                )
-                .at(&recording.name)
+            Code::NoRows.error(
+                format!("no {raw}samples came over the {} link", link.role),
+                "switch a stream on with `wimu device settings set`, or use the other link",
+            )
         };
         let boot = link.boots.iter().max_by_key(|boot| samples(boot)).ok_or_else(no_rows)?;
         let corrected = !boot.corrected().is_empty() && !options.raw;
         let chosen = if corrected { boot.corrected() } else { boot.raw() };
-        let (Some(first), Some(last)) = (chosen.first(), chosen.last()) else {
-            return Err(no_rows());
-        };
+        let last = chosen.last().ok_or_else(no_rows)?;
         let units = RawUnits::of_epochs(boot.epochs().iter().map(|mark| &mark.epoch));
-        let given = boot
-            .nominal_sensitivity(0)
-            .is_none()
-            .then_some(STANDARD_GRAVITY_MPS2 / options.sensitivity_lsb_per_g);
-        let host = |time| {
-            let host_ns = boot.host_ns(time)?;
-            let utc = recording.anchor.map_or(host_ns, |a| a.to_utc_ns(host_ns));
-            i64::try_from(utc).ok()
+        let nominal = boot.nominal_sensitivity(0).map(|s| s.lsb_per_g());
+        let mps2_per_lsb = STANDARD_GRAVITY_MPS2 / options.sensitivity_lsb_per_g;
+        let mut board = Self {
+            name: recording.name.clone(),
+            force: Series::default(),
+            clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
+            without_unit: 0,
+            sensitivity_lsb_per_g: (!corrected)
+                .then(|| nominal.unwrap_or(options.sensitivity_lsb_per_g)),
         };
-        let no_clock = || {
-            Code::DataRefused
-                .error(
+        for sample in chosen {
+            let utc = |host_ns| recording.anchor.map_or(host_ns, |a| a.to_utc_ns(host_ns));
+            let time_ns = boot.host_ns(sample.time).and_then(|ns| i64::try_from(utc(ns)).ok());
+            let time_ns = time_ns.ok_or_else(|| {
+                Code::DataRefused.error(
                     "nothing in it tells when its samples were taken by the host's clock",
                     "record for some seconds at the least",
                 )
-                .at(&recording.name)
-        };
-        let origin_ns = host(first.time).ok_or_else(no_clock)?;
-        let mut board = Self {
-            name: recording.name.clone(),
-            origin_ns,
-            times_s: Vec::with_capacity(chosen.len()),
-            values: Vec::with_capacity(chosen.len()),
-            saturated: Vec::with_capacity(chosen.len()),
-            clock_sd_s: Some(boot.clock_sd_ns(last.time).unwrap_or_default() * 1e-9),
-            without_unit: 0,
-            sensitivity_lsb_per_g: (!corrected).then(|| {
-                boot.nominal_sensitivity(0).map_or(options.sensitivity_lsb_per_g, |s| s.lsb_per_g())
-            }),
-        };
-        for sample in chosen {
-            let time_ns = host(sample.time).ok_or_else(no_clock)?;
+            })?;
             let unit = units.of(sample.sequence);
-            let value = match (corrected, given, unit) {
-                (true, _, _) => SpecificForceQ16(sample.value).to_mps2().0,
-                (false, Some(factor), _) => sample.value.map(|count| f64::from(count) * factor),
-                (false, None, Some(unit)) => unit.mps2(sample.value),
-                (false, None, None) => {
+            let (value, range) = match unit {
+                _ if corrected => (
+                    SpecificForceQ16(sample.value).to_mps2().0,
+                    unit.map_or(f64::INFINITY, |unit| unit.range_mps2()),
+                ),
+                // Counts of a sensor that does not say its sensitivity.
+                unit if nominal.is_none() => (
+                    sample.value.map(|count| f64::from(count) * mps2_per_lsb),
+                    unit.map_or(f64::INFINITY, |u| f64::from(u.full_scale) * mps2_per_lsb),
+                ),
+                Some(unit) => (unit.mps2(sample.value), unit.range_mps2()),
+                None => {
                     board.without_unit += 1;
                     continue;
                 }
             };
-            let range = match (given.filter(|_| !corrected), unit) {
-                (Some(factor), unit) => {
-                    unit.map_or(f64::INFINITY, |unit| f64::from(unit.full_scale) * factor)
-                }
-                (None, unit) => unit.map_or(f64::INFINITY, |unit| unit.range_mps2()),
-            };
-            let time_s = (time_ns - origin_ns) as f64 * 1e-9;
-            if board.times_s.last().is_none_or(|last| time_s > *last) {
-                board.times_s.push(time_s);
-                board.values.push(value);
-                let at_limit = |axis: &f64| axis.abs() >= LIMIT_SHARE * range;
-                board.saturated.push(value.iter().any(at_limit));
-            }
+            let value = Vector3::from(value);
+            let flags = Flags::saturated(value.amax() >= LIMIT_SHARE * range);
+            board.force.push(Ns(time_ns), value, flags);
         }
+        board.force = board.force.even();
         Ok(board)
-    }
-
-    fn series(&self, origin_ns: i64) -> Series {
-        let later = (self.origin_ns - origin_ns) as f64 * 1e-9;
-        Series {
-            times_s: self.times_s.iter().map(|t| t + later).collect(),
-            values: self.values.clone(),
-            saturated: self.saturated.clone(),
-            period_s: period_s(&self.times_s),
-        }
     }
 }

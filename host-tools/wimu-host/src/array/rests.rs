@@ -1,12 +1,14 @@
 //! Which steady stretches of an array's mean output are rests: an array that turns evenly about the
 //! vertical has a steady mean too, equation (100).
 
+use nalgebra::Vector3;
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes_of, with_room};
+use super::outputs::{Span, mean, moments};
 use super::{ArrayGeometry, ArrayRecording};
+use crate::Result;
 use crate::stats::{median, norm};
-use crate::{Code, Result};
 
 /// Length of a block, s.
 const BLOCK_S: f64 = 0.1;
@@ -29,7 +31,7 @@ const TURNS: f64 = 40.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvenTurn {
     /// First sample and number of samples.
-    pub span: (usize, usize),
+    pub span: Span,
     /// Angular rate that the sensors' departures from each other show, rad/s.
     pub rate_rad_s: f64,
 }
@@ -37,7 +39,7 @@ pub struct EvenTurn {
 /// Rests, and what is no rest.
 #[derive(Default)]
 pub(super) struct Judged {
-    pub rests: Vec<(usize, usize)>,
+    pub rests: Vec<Span>,
     pub turns: Vec<EvenTurn>,
     /// Below this angular rate, rad/s, an even turn about the vertical looks like the rests; `None`
     /// where the sensors show no angular rate at all.
@@ -52,7 +54,7 @@ pub(super) struct Judged {
 pub(super) fn judged(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
-    stretches: &[(usize, usize)],
+    stretches: &[Span],
     used: &[bool],
 ) -> Result<Judged> {
     with_room!(geometry.sensors.len(), judge(recording, geometry, stretches, used))
@@ -66,36 +68,22 @@ struct Mean<const M: usize> {
 }
 
 impl<const M: usize> Mean<M> {
-    fn of(recording: &ArrayRecording, (first, count): (usize, usize), used: &[bool]) -> Self {
-        let (mut output, mut squares, mut axes) = ([0.0; M], 0.0, 0.0);
+    fn of(recording: &ArrayRecording, span: Span, used: &[bool]) -> Self {
+        let (mut output, mut variance, mut count) = ([0.0; M], 0.0, 0.0);
         for sensor in (0..used.len()).filter(|s| used[*s]) {
-            let seen = || {
-                (first..first + count)
-                    .filter(|k| recording.has(*k, sensor))
-                    .map(|k| recording.outputs[k][sensor])
-            };
-            let n = seen().count() as f64;
-            if n < 2.0 {
-                continue;
-            }
-            for axis in 0..3 {
-                let mean = seen().map(|v| v[axis]).sum::<f64>() / n;
-                let square = seen().map(|v| (v[axis] - mean).powi(2)).sum::<f64>();
-                output[3 * sensor + axis] = mean;
-                squares += square / (n - 1.0);
-                axes += 1.0;
+            if let Some((mean, own)) = moments(recording, sensor, span) {
+                output[3 * sensor..3 * sensor + 3].copy_from_slice(mean.as_slice());
+                variance += own;
+                count += 1.0;
             }
         }
-        Self { output, variance: squares / f64::max(axes, 1.0), samples: count as f64 }
+        Self { output, variance: variance / f64::max(count, 1.0), samples: span.1 as f64 }
     }
 
     /// Mean of the sensors.
-    fn force(&self, used: &[bool]) -> [f64; 3] {
-        let count = used.iter().filter(|u| **u).count().max(1) as f64;
-        std::array::from_fn(|axis| {
-            let sensors = (0..used.len()).filter(|s| used[*s]);
-            sensors.map(|s| self.output[3 * s + axis]).sum::<f64>() / count
-        })
+    fn force(&self, used: &[bool]) -> Vector3<f64> {
+        let sensors = (0..used.len()).filter(|s| used[*s]);
+        mean(sensors.map(|s| Vector3::from_column_slice(&self.output[3 * s..3 * s + 3])))
     }
 }
 
@@ -106,7 +94,7 @@ fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
 fn judge<const M: usize>(
     recording: &ArrayRecording,
     geometry: &ArrayGeometry,
-    stretches: &[(usize, usize)],
+    stretches: &[Span],
     used: &[bool],
 ) -> Result<Judged> {
     let axes = axes_of::<M>(geometry, &vec![1.0; geometry.sensors.len()])?;
@@ -117,7 +105,7 @@ fn judge<const M: usize>(
             return Ok(Judged { rests: stretches.to_vec(), ..Judged::default() });
         }
     };
-    let spans: Vec<(usize, usize)> =
+    let spans: Vec<Span> =
         stretches.iter().flat_map(|stretch| steady(recording, &solver, *stretch, used)).collect();
     let means: Vec<Mean<M>> = spans.iter().map(|span| Mean::of(recording, *span, used)).collect();
     // What one rest's departures show beyond what the biases explain.
@@ -131,13 +119,13 @@ fn judge<const M: usize>(
         (explained > TURNS * variance.max(apart)).then(|| norm(best.rate_rad_s))
     };
     let of_rest = |mean: &Mean<M>| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
-    let unknown = |force: [f64; 3]| BIAS_MPS2.powi(2) + (SCALE * norm(force)).powi(2);
+    let unknown = |force: Vector3<f64>| BIAS_MPS2.powi(2) + (SCALE * force.norm()).powi(2);
     let mut judged = Judged::default();
     for (span, one) in spans.iter().zip(&means) {
         let force = one.force(used);
         let by_itself = turn(one.output, unknown(force) + of_rest(one));
         let against = means.iter().filter_map(|other| {
-            let scale = SCALE * norm(minus(force, other.force(used)));
+            let scale = SCALE * (force - other.force(used)).norm();
             let variance = of_rest(one) + of_rest(other) + scale * scale;
             turn(minus(one.output, other.output), variance)
         });
@@ -148,8 +136,7 @@ fn judge<const M: usize>(
     }
     if let Some(first) = means.first() {
         let force = first.force(used);
-        let size = norm(force).max(1e-9);
-        let (z, _) = solver.expected_z(force.map(|f| f / size));
+        let (z, _) = solver.expected_z((force / force.norm().max(1e-9)).into());
         let shown = norm(z).max(1e-12);
         let variance = if means.len() > 1 { 2.0 * of_rest(first) } else { unknown(force) };
         judged.unseen_rad_s = Some(((TURNS * variance).sqrt() / shown).sqrt());
@@ -161,9 +148,9 @@ fn judge<const M: usize>(
 fn steady<const M: usize>(
     recording: &ArrayRecording,
     solver: &ArraySolver<f64, M>,
-    (first, count): (usize, usize),
+    (first, count): Span,
     used: &[bool],
-) -> Vec<(usize, usize)> {
+) -> Vec<Span> {
     let length = ((BLOCK_S / recording.period_s()).ceil() as usize).max(BLOCK_SAMPLES);
     let blocks: Vec<Mean<M>> = (0..count / length)
         .map(|b| Mean::of(recording, (first + b * length, length), used))

@@ -3,7 +3,6 @@
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use super::delays::corrected_delays;
 use super::fit::{RefineOptions, Refinement, refine};
 use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
 use crate::{Code, Problem, Result};
@@ -43,7 +42,7 @@ pub fn calibrate_array(
         let calibration = ArrayCalibration::of(&arranged, geometry, gravity)?;
         Ok::<_, Problem>((arranged, calibration))
     };
-    let (arranged, mut calibration) = calibrated(&geometry)?;
+    let (mut arranged, mut calibration) = calibrated(&geometry)?;
     if let Some(why) = &calibration.uncalibrated {
         return Err(Code::DataRefused.error(format!("the array cannot be calibrated: {why}"),
             "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
@@ -52,14 +51,6 @@ pub fn calibrate_array(
     }
     let mut findings = Vec::new();
     (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
-    let mut arranged = arranged;
-    if let Some(found) = corrected_delays(&arranged, &geometry, &calibration)? {
-        for (sensor, delay) in geometry.sensors.iter_mut().zip(found.delays_s) {
-            sensor.delay_us += delay * 1e6;
-        }
-        findings.extend(found.remarks.into_iter().map(|text| Code::Geometry.note(text)));
-        (arranged, calibration) = calibrated(&geometry)?;
-    }
     let refinement = refine(&arranged, &geometry, &calibration, options);
     match &refinement {
         Ok(found) if !found.accepted => {}

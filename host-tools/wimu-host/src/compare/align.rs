@@ -2,26 +2,24 @@
 
 use std::path::Path;
 
+use nalgebra::Vector3;
 use serde::Serialize;
-use wimu_calib::ReferenceTransfer;
+use wimu_calib::{ReferenceTransfer, Transfer};
 
 use super::{Axis, incomparable, refused};
-use crate::lag::{deviations, refine, scores};
-use crate::{Code, Problem, Result};
+use crate::lag::{Lag, Search, lag};
+use crate::series::{Interp, Ns};
 
 mod signal;
 mod time_fit;
 mod turn;
 
-use signal::{Signal, drift};
+use crate::{Code, Problem, Result};
+use signal::Signal;
 use time_fit::TimeFit;
 pub use turn::Turn;
 use turn::scale_along_itself;
 
-/// Largest rate at which both are compared, Hz.
-const MAX_RATE_HZ: f64 = 200.0;
-/// Largest number of points of the search over all lags.
-const COARSE_POINTS: usize = 4000;
 /// Shortest overlap, s, and as a fraction of the shorter table.
 const MIN_OVERLAP_S: f64 = 2.0;
 const MIN_OVERLAP: f64 = 0.2;
@@ -35,14 +33,6 @@ const MIN_DEVIATIONS: f64 = 4.0;
 const MAX_SIZE: f64 = 1.4;
 /// Shortest overlap from which the rates of the clocks are compared, s.
 const MIN_RATE_OVERLAP_S: f64 = 9.0;
-/// Largest rate difference of the clocks.
-const MAX_RATE: f64 = 0.01;
-/// Smallest standard deviation of a time, as a fraction of the row interval, because of linear interpolation.
-const BETWEEN_ROWS: f64 = 0.02;
-
-/// Rows on each side through which a curve is interpolated, and those of a simpler curve: their difference estimates
-/// the interpolation error.
-const CURVE_ROWS: [usize; 2] = [3, 2];
 
 /// Result of the alignment of two tables.
 #[derive(Clone, Debug, Serialize)]
@@ -91,152 +81,18 @@ pub struct Alignment {
 /// than one, fits.
 pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     let names = [reference, other].map(crate::untrusted::name);
-    let [a, b] = [Signal::read(reference)?, Signal::read(other)?];
-    let both = format!("{} and {}", names[0], names[1]);
-    let rate_hz = a.rate_hz().min(b.rate_hz()).min(MAX_RATE_HZ);
-    let step = 1.0 / rate_hz;
-    let [fine_a, fine_b] = [a.grid(step), b.grid(step)];
-    let shorter = fine_a.values.len().min(fine_b.values.len()) as f64 * step;
-    let overlap = MIN_OVERLAP_S.max(MIN_OVERLAP * shorter);
-    let none = || {
-        refused(
-            &both,
-            "the motions of the two tables do not match",
-            "record one motion with both at the same time: shake them together at the beginning",
-        )
-    };
-    let longest = fine_a.values.len().max(fine_b.values.len());
-    let fold = longest.div_ceil(COARSE_POINTS).max(1);
-    let [coarse_a, coarse_b] = [fine_a.folded(fold), fine_b.folded(fold)];
-    let least = (overlap / coarse_a.step).ceil() as usize;
-    let scores = scores(&coarse_a.values, &coarse_b.values, least);
-    let (best, lag) = scores.iter().copied().max_by(|x, y| x.0.total_cmp(&y.0)).ok_or_else(none)?;
-    // Within a second of the best, neighbours fit too.
-    let near = (1.0 / coarse_a.step).ceil() as i64 + 1;
-    let second = scores
-        .iter()
-        .filter(|(_, other)| (other - lag).abs() > near)
-        .fold(f64::MIN, |most, (score, _)| most.max(*score));
-    let around = lag * fold as i64;
-    let fine = refine(&fine_a.values, &fine_b.values, around, fold as i64 + 1).ok_or_else(none)?;
-    if fine.score < MIN_CORRELATION {
-        return Err(none());
+    let signals = [Signal::read(reference)?, Signal::read(other)?];
+    let both = names.join(" and ");
+    let lag = matching(&signals, &both)?;
+    let fit = TimeFit::of(&signals, lag.offset_s, lag.step_s, MIN_RATE_OVERLAP_S);
+    let pairs = Pairs::of(&signals, &fit);
+    let unit_sd = signals.each_ref().map(|signal| signal.unit_sd);
+    let found = pairs.transfer.result();
+    let count = found.as_ref().map_or(pairs.count, |found| found.samples);
+    if found.is_ok() {
+        pairs.check_size(count, lag.correlation, unit_sd, &both)?;
     }
-    if second > best - MIN_LEAD {
-        return Err(refused(
-            &both,
-            "the alignment is ambiguous: the motion repeats itself",
-            "record a motion that does not repeat: shake them together once at the beginning",
-        ));
-    }
-    // b[k] is at a[k + lag].
-    let lag = fine.lag.round() as i64;
-    if deviations(&fine_a.values, &fine_b.values, lag, step) < MIN_DEVIATIONS {
-        return Err(refused(
-            &both,
-            format!(
-                "the matching motion (correlation {:.2}) is too short or too uniform to be unique",
-                fine.score
-            ),
-            "record one motion with both at the same time, longer and more varied",
-        ));
-    }
-    let mut fit = TimeFit {
-        offset_s: fine_a.start - fine_b.start + fine.lag * step,
-        rate: 0.0,
-        middle: 0.0,
-        sd: [0.0; 2],
-    };
-    let overlap_at = |offset: f64| {
-        let start = fine_a.start.max(fine_b.start + offset);
-        (start, fine_a.end().min(fine_b.end() + offset))
-    };
-    let (start, end) = overlap_at(fit.offset_s);
-    fit.middle = 0.5 * (start + end);
-    let has_rate = end - start >= MIN_RATE_OVERLAP_S;
-    // The rate changes the ends: first a rough correction, then refinements.
-    let rough = drift(&fine_a, &fine_b, fine.lag, (start, end), fit.offset_s);
-    fit.rate = rough.filter(|_| has_rate).unwrap_or(0.0);
-    for _ in 0..4 {
-        fit = fit.refined(&a, &b, (start, end), step, has_rate).unwrap_or(fit);
-    }
-    let between_s = BETWEEN_ROWS * step;
-    fit.sd[0] = fit.sd[0].hypot(between_s);
-    fit.sd[1] = fit.sd[1].hypot(between_s * 12.0_f64.sqrt() / (end - start));
-    let rate = has_rate.then_some((fit.rate, fit.sd[1]));
-    let offset_s = fit.offset_s;
-    // Either device may be the noisier one.
-    let [mut transfer, mut simpler] = [0, 1].map(|_| ReferenceTransfer::of_unknown_noise());
-    let (mut squares, mut sums, mut saturated) = ([0.0; 3], [[0.0; 3]; 2], 0);
-    let mut sizes = [0.0; 2];
-    // At the rows of the slower table: interpolation between them flattens the motion.
-    let moments: Vec<(f64, f64)> = if b.rate_hz() < a.rate_hz() {
-        b.times().map(|theirs| (fit.ours(theirs), theirs)).collect()
-    } else {
-        a.times().map(|time| (time, fit.theirs(time))).collect()
-    };
-    let mut compared = 0;
-    for (time, theirs) in moments {
-        let both = |rows| a.curved_at(time, rows).zip(b.curved_at(theirs, rows));
-        if let (Some((x, y)), Some(simple)) = (both(CURVE_ROWS[0]), both(CURVE_ROWS[1])) {
-            if a.is_saturated_at(time) || b.is_saturated_at(theirs) {
-                saturated += 1;
-                continue;
-            }
-            compared += 1;
-            transfer.push(x, y);
-            simpler.push(simple.0, simple.1);
-            for axis in 0..3 {
-                squares[axis] += (y[axis] - x[axis]).powi(2);
-                sums[0][axis] += x[axis];
-                sums[1][axis] += y[axis];
-                sizes[0] += x[axis] * x[axis];
-                sizes[1] += y[axis] * y[axis];
-            }
-        }
-    }
-    let found = transfer.result();
-    let simpler = simpler.result();
-    let pairs = found.as_ref().map_or(compared, |found| found.samples);
-    let unit_sd = [a.unit_sd, b.unit_sd];
-    let [x, y] = [0, 1].map(|table| {
-        let mean: f64 = sums[table].iter().map(|sum| sum * sum).sum();
-        (sizes[table] - mean / pairs.max(1) as f64).max(0.0).sqrt()
-    });
-    // Noise affects both magnitudes, and the correlation.
-    let most = MAX_SIZE / fine.score * (1.0 + 3.0 * unit_sd.iter().flatten().sum::<f64>());
-    if found.is_ok() && !(1.0 / most..=most).contains(&(y / x)) {
-        return Err(refused(
-            &both,
-            format!(
-                "the matching motion (correlation {:.2}) is {:.1} times as large in the second table as in the first",
-                fine.score,
-                y / x
-            ),
-            "record one motion with both at the same time; check the units",
-        ));
-    }
-    let axes = found.as_ref().ok().map(|found| {
-        let count = found.samples.max(1) as f64;
-        [0, 1, 2].map(|axis| {
-            let mut plain = Axis {
-                rms_before_mps2: (squares[axis] / count).sqrt(),
-                ..Axis::new(found, axis, 0.0)
-            };
-            if let (Some(line), Some(seen)) = (&mut plain.line, &found.axes[axis].line) {
-                [line.scale, line.scale_sd] = scale_along_itself(seen);
-                if let Some(simple) = simpler.as_ref().ok().and_then(|found| found.axes[axis].line)
-                {
-                    let lost = line.scale - scale_along_itself(&simple)[0];
-                    line.scale_sd = line.scale_sd.hypot(lost);
-                    let lost = line.bias_mps2 - simple.bias_mps2;
-                    line.bias_sd_mps2 = line.bias_sd_mps2.hypot(lost);
-                }
-            }
-            let means = [0, 1].map(|table| sums[table][axis] / count);
-            plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)
-        })
-    });
+    let axes = found.as_ref().ok().map(|found| pairs.axes(found, unit_sd));
     let turn = found.as_ref().ok().and_then(Turn::of);
     let axes_reason = found.err().map(|refusal| refusal.to_string());
     let mut findings = Vec::from_iter(incomparable(axes_reason.as_deref()));
@@ -248,8 +104,8 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
             ))
         }));
     }
-    if saturated > 0 {
-        let text = format!("{saturated} saturated samples are left out");
+    if pairs.saturated > 0 {
+        let text = format!("{} saturated samples are left out", pairs.saturated);
         findings.push(Code::Saturated.note(text));
     }
     if axes.is_some() && turn.is_none() {
@@ -260,21 +116,162 @@ pub fn align(reference: &Path, other: &Path) -> Result<Alignment> {
     }
     Ok(Alignment {
         sources: names,
-        offset_s,
+        offset_s: fit.offset_s,
         offset_sd_s: fit.sd[0],
-        rate_ppm: rate.map(|(rate, _)| rate * 1e6),
-        rate_sd_ppm: rate.map(|(_, sd)| sd * 1e6),
-        correlation: fine.score,
-        overlap_s: end - start,
-        rate_hz,
-        pairs,
-        saturated,
+        rate_ppm: fit.has_rate.then_some(fit.rate * 1e6),
+        rate_sd_ppm: fit.has_rate.then_some(fit.sd[1] * 1e6),
+        correlation: lag.correlation,
+        overlap_s: fit.overlap_s[1] - fit.overlap_s[0],
+        rate_hz: 1.0 / lag.step_s,
+        pairs: count,
+        saturated: pairs.saturated,
         unit_sd,
         turn,
         axes,
         axes_reason,
         findings,
     })
+}
+
+/// The lag of both magnitudes, if it is unique.
+fn matching(signals: &[Signal; 2], both: &str) -> Result<Lag> {
+    let [a, b] = signals.each_ref().map(|signal| signal.force.map(|force| force.norm()));
+    let length_s = |span: Option<[Ns; 2]>| span.map_or(0.0, |[from, to]| to.since_s(from));
+    let shorter_s = length_s(a.span()).min(length_s(b.span()));
+    let overlap_s = MIN_OVERLAP_S.max(MIN_OVERLAP * shorter_s);
+    let found = lag(&a, &b, &Search { around_s: 0.0, reach_s: f64::INFINITY, overlap_s });
+    let Some(found) = found.filter(|lag| lag.correlation >= MIN_CORRELATION) else {
+        return Err(refused(
+            both,
+            "the motions of the two tables do not match",
+            "record one motion with both at the same time: shake them together at the beginning",
+        ));
+    };
+    if found.lead < MIN_LEAD {
+        return Err(refused(
+            both,
+            "the alignment is ambiguous: the motion repeats itself",
+            "record a motion that does not repeat: shake them together once at the beginning",
+        ));
+    }
+    if found.deviations < MIN_DEVIATIONS {
+        return Err(refused(
+            both,
+            format!(
+                "the matching motion (correlation {:.2}) is too short or too uniform to be unique",
+                found.correlation
+            ),
+            "record one motion with both at the same time, longer and more varied",
+        ));
+    }
+    Ok(found)
+}
+
+/// Values of both at the rows of the slower table: interpolation between these flattens the motion.
+struct Pairs {
+    transfer: ReferenceTransfer,
+    /// By curves of lower order: the difference estimates the interpolation error.
+    simpler: ReferenceTransfer,
+    count: u64,
+    saturated: u64,
+    /// Of the reference and of the other.
+    sums: [Vector3<f64>; 2],
+    sizes: [f64; 2],
+    /// Of the differences.
+    squares: Vector3<f64>,
+}
+
+impl Pairs {
+    fn of(signals: &[Signal; 2], fit: &TimeFit) -> Self {
+        // Either device may be the noisier one.
+        let [transfer, simpler] = [(); 2].map(|()| ReferenceTransfer::of_unknown_noise());
+        let mut pairs = Self {
+            transfer,
+            simpler,
+            count: 0,
+            saturated: 0,
+            sums: [Vector3::zeros(); 2],
+            sizes: [0.0; 2],
+            squares: Vector3::zeros(),
+        };
+        let [a, b] = signals;
+        let other_is_slower = b.force.period_s() > a.force.period_s();
+        let slower = if other_is_slower { &b.force } else { &a.force };
+        for time in &slower.t {
+            let time_s = time.since_s(fit.origin);
+            let (ours, theirs) = match other_is_slower {
+                true => (fit.ours(time_s), time_s),
+                false => (time_s, fit.theirs(time_s)),
+            };
+            let both = |how| a.at(fit.origin, ours, how).zip(b.at(fit.origin, theirs, how));
+            let (Some((x, y)), Some(simple)) = (both(Interp::Quintic), both(Interp::Cubic)) else {
+                continue;
+            };
+            if (x.flags | y.flags).is_saturated() {
+                pairs.saturated += 1;
+                continue;
+            }
+            pairs.count += 1;
+            pairs.transfer.push(x.value.into(), y.value.into());
+            pairs.simpler.push(simple.0.value.into(), simple.1.value.into());
+            let difference = y.value - x.value;
+            pairs.squares += difference.component_mul(&difference);
+            for (k, value) in [x.value, y.value].into_iter().enumerate() {
+                pairs.sums[k] += value;
+                pairs.sizes[k] += value.norm_squared();
+            }
+        }
+        pairs
+    }
+
+    /// Refuses a motion that is much larger in one of the tables.
+    fn check_size(
+        &self,
+        count: u64,
+        correlation: f64,
+        unit_sd: [Option<f64>; 2],
+        both: &str,
+    ) -> Result<()> {
+        let [x, y] = [0, 1].map(|table| {
+            let mean = self.sums[table].norm_squared() / count.max(1) as f64;
+            (self.sizes[table] - mean).max(0.0).sqrt()
+        });
+        // Noise affects both magnitudes, and the correlation.
+        let most = MAX_SIZE / correlation * (1.0 + 3.0 * unit_sd.iter().flatten().sum::<f64>());
+        if (1.0 / most..=most).contains(&(y / x)) {
+            return Ok(());
+        }
+        Err(refused(
+            both,
+            format!(
+                "the matching motion (correlation {correlation:.2}) is {:.1} times as large in the second table as in the first",
+                y / x
+            ),
+            "record one motion with both at the same time; check the units",
+        ))
+    }
+
+    fn axes(&self, found: &Transfer, unit_sd: [Option<f64>; 2]) -> [Axis; 3] {
+        let count = found.samples.max(1) as f64;
+        let simpler = self.simpler.result().ok();
+        [0, 1, 2].map(|axis| {
+            let mut plain = Axis {
+                rms_before_mps2: (self.squares[axis] / count).sqrt(),
+                ..Axis::new(found, axis, 0.0)
+            };
+            if let (Some(line), Some(seen)) = (&mut plain.line, &found.axes[axis].line) {
+                [line.scale, line.scale_sd] = scale_along_itself(seen);
+                if let Some(simple) = simpler.as_ref().and_then(|found| found.axes[axis].line) {
+                    let lost = line.scale - scale_along_itself(&simple)[0];
+                    line.scale_sd = line.scale_sd.hypot(lost);
+                    let lost = line.bias_mps2 - simple.bias_mps2;
+                    line.bias_sd_mps2 = line.bias_sd_mps2.hypot(lost);
+                }
+            }
+            let means = self.sums.map(|sum| sum[axis] / count);
+            plain.with_units_to(unit_sd.map(Option::unwrap_or_default), means)
+        })
+    }
 }
 
 impl Axis {

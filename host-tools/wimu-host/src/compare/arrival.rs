@@ -2,14 +2,17 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::Vector3;
 use serde::Serialize;
+
+use crate::series::{Flags, Interp, Ns, Series};
 
 /// Error of resampling by the time of arrival, m/s² rms, equation (64); resampling by device time has none.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ByArrival {
     /// As samples arrive.
     pub rms_mps2: f64,
-    /// With the median latency subtracted: the effect of jitter alone.
+    /// With the median latency until then subtracted: the effect of jitter alone.
     pub rms_without_latency_mps2: f64,
 }
 
@@ -17,66 +20,50 @@ pub struct ByArrival {
 /// the true times: equation (64).
 #[derive(Debug, Default)]
 pub(super) struct ArrivalUser {
-    /// Subtracted from the times of arrival, ns.
-    latency_ns: f64,
     /// Values by time of arrival, from the one at or before the oldest true time on.
-    points: VecDeque<(i64, [f64; 3])>,
+    points: Series<Vector3<f64>>,
     /// True times and values to compare.
-    waiting: VecDeque<(i64, [f64; 3])>,
+    waiting: VecDeque<(Ns, Vector3<f64>)>,
     squares: f64,
     count: u64,
 }
 
-/// Largest number of values held: more than a link delays.
+/// Largest number of values that wait: more than a link delays.
 const MAX_HELD: usize = 1 << 16;
+/// Number of values from which on old ones are forgotten.
+const CHUNK: usize = 1 << 10;
 
 impl ArrivalUser {
-    pub fn new(latency_ns: f64) -> Self {
-        Self { latency_ns, ..Self::default() }
-    }
-
     /// Ends the sequence.
     pub fn restart(&mut self) {
-        self.points.clear();
+        self.points = Series::default();
         self.waiting.clear();
     }
 
-    /// Takes a sample of `value`, m/s², taken at `true_ns`, that arrived at `arrived_ns`.
-    pub fn take(&mut self, true_ns: u64, arrived_ns: u64, value: [f64; 3]) {
-        self.waiting.push_back((true_ns as i64, value));
-        let time = (arrived_ns as i64).wrapping_sub(self.latency_ns as i64);
+    /// Takes a sample of `value`, m/s², with its true time and the time of its arrival.
+    pub fn take(&mut self, taken: Ns, arrived: Ns, value: [f64; 3]) {
+        let value = Vector3::from(value);
+        self.waiting.push_back((taken, value));
         // Times of arrival are made monotonic.
-        let time = self.points.back().map_or(time, |(last, _)| time.max(*last));
-        self.points.push_back((time, value));
-        while let Some(&(true_ns, truth)) = self.waiting.front() {
-            if true_ns > time {
-                break;
-            }
+        let last = self.points.t.last().map_or(Ns(i64::MIN), |last| Ns(last.0 + 1));
+        let now = arrived.max(last);
+        self.points.push(now, value, Flags::NONE);
+        while let Some(&(taken, truth)) = self.waiting.front()
+            && taken <= now
+        {
             self.waiting.pop_front();
-            while self.points.get(1).is_some_and(|(next, _)| *next <= true_ns) {
-                self.points.pop_front();
+            if let Some(at) = self.points.at(taken, Interp::Linear) {
+                self.squares += (at.value - truth).norm_squared();
+                self.count += 1;
             }
-            let (Some(&(before, from)), Some(&(next, to))) =
-                (self.points.front(), self.points.get(1))
-            else {
-                continue;
-            };
-            if before > true_ns {
-                continue;
-            }
-            let share = (true_ns - before) as f64 / (next - before) as f64;
-            for axis in 0..3 {
-                let seen = from[axis] + share * (to[axis] - from[axis]);
-                self.squares += (seen - truth[axis]).powi(2);
-            }
-            self.count += 1;
         }
-        while self.waiting.len() > MAX_HELD {
-            self.waiting.pop_front();
+        if self.points.len() > CHUNK {
+            let oldest = self.waiting.front().map_or(now, |(taken, _)| *taken);
+            let needed = self.points.latest(oldest).map_or(self.points.t[0], |k| self.points.t[k]);
+            self.points.forget_before(needed, 2);
         }
-        while self.points.len() > MAX_HELD {
-            self.points.pop_front();
-        }
+        let old = self.waiting.len().saturating_sub(MAX_HELD);
+        self.waiting.drain(..old);
     }
 
     /// RMS of the three axes together, m/s².

@@ -1,18 +1,22 @@
-//! The second reading: counts, pairs and fits.
+//! The second reading: counts, pairs, fits, and the error of resampling by the time of arrival.
 
+use std::collections::BTreeSet;
 use std::io::Read;
 
 use wimu_calib::{NoiseRatio, ReferenceTransfer};
 use wimu_link::message::{Answer, Payload, Status};
 
+use super::arrival::{ArrivalUser, ByArrival};
+use super::delivery::{Delivered, Pairing};
 use super::link::LinkMeter;
 use super::overview::Overview;
-use super::pairing::Pairing;
 use super::{Axis, EXCERPT_NS, UNDER_WAY_NS, in_order, index_of};
 use crate::Result;
-use crate::decode::Event;
+use crate::clock::ClockModel;
+use crate::decode::{Event, Samples};
 use crate::mcap_file::{Recorded, RecordingReader};
-use crate::walk::{Step, walk};
+use crate::series::Ns;
+use crate::walk::{Start, Step, walk};
 
 /// Differences of pairs.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,6 +68,8 @@ pub(super) struct Counted {
     pub lsb_mps2: f64,
     pub evolution: Vec<(f64, [Axis; 3])>,
     pub excerpt: Vec<(f64, [[f64; 3]; 2])>,
+    /// By link: by time of arrival, and with the median latency subtracted.
+    users: [[ArrivalUser; 2]; 2],
 }
 
 impl Counted {
@@ -83,10 +89,11 @@ impl Counted {
             lsb_mps2: 0.0,
             evolution: Vec::new(),
             excerpt: Vec::new(),
+            users: Default::default(),
         };
         let middle = overview.span.0 + overview.span_ns() / 2;
         let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
-        let mut pairing = Pairing::new(overview.heard, &overview.holes);
+        let mut pairing = Pairing::default();
         let mut current = [None; 2];
         let (slicing, mut slice) = (overview.slicing(), 0);
         walk(&mut reader, |role, start, step| {
@@ -97,7 +104,10 @@ impl Counted {
                 Step::Other(entry) => {
                     match entry {
                         Recorded::Lost { host_ns, .. } => meter.close(host_ns),
-                        Recorded::Damaged { .. } => meter.skip(),
+                        Recorded::Damaged { .. } => {
+                            meter.interrupt();
+                            counted.users[link].iter_mut().for_each(ArrivalUser::restart);
+                        }
                         entry => meter.is_open(entry.host_ns()),
                     }
                     return Ok(());
@@ -105,7 +115,7 @@ impl Counted {
             };
             meter.is_open(arrival.host_ns);
             if current[link].replace(start).is_some_and(|s| s != start) {
-                meter.skip();
+                counted.users[link].iter_mut().for_each(ArrivalUser::restart);
             }
             let (samples, is_late) = match &arrival.event {
                 Event::Samples(samples) if overview.is_compared(samples) => (samples, false),
@@ -125,14 +135,12 @@ impl Counted {
             let Some(clock) = overview.clock(start) else {
                 return Ok(());
             };
-            if is_late {
-                meter.take_late(samples, host_ns, clock);
-            } else {
-                meter.take(samples, host_ns, clock);
+            meter.take(start, samples, is_late, host_ns, clock);
+            if !is_late {
+                counted.by_arrival(link, start, samples, host_ns, overview, clock);
             }
             for sample in samples.iter() {
-                let twin = pairing.pair(link, start, &sample, samples.every, is_late, clock);
-                let Some((twin, twin_rate)) = twin else {
+                let Some((twin, twin_rate)) = pairing.pair(link, start, &sample) else {
                     continue;
                 };
                 let [cable, wireless] = in_order(link, sample.value, twin);
@@ -167,20 +175,64 @@ impl Counted {
             }
             Ok(())
         })?;
-        let under_way_ns = [0, 1].map(|link| {
-            let longest_ns = counted.meters[link].longest_age_ns();
-            (overview.span.1 as i64).saturating_sub(longest_ns.min(UNDER_WAY_NS) as i64)
-        });
-        let (lost, at_ends) = pairing.finish(under_way_ns);
-        let found = lost.into_iter().zip(at_ends);
-        for (meter, (lost, at_ends)) in counted.meters.iter_mut().zip(found) {
-            meter.lost = lost;
-            meter.before = at_ends.before;
-            meter.under_way = at_ends.under_way;
-            at_ends.lost.iter().for_each(|run| meter.lack(run));
-            meter.finish(overview.span.1);
-        }
+        counted.count_losses(overview);
         counted.excerpt.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(counted)
+    }
+
+    /// What each link lacks of the samples that it or the other one delivered.
+    fn count_losses(&mut self, overview: &Overview) {
+        let starts = self.meters.each_mut().map(|meter| meter.finish(overview.span.1));
+        let last = starts.iter().filter_map(|starts| Some(*starts.last_key_value()?.0)).max();
+        let all: BTreeSet<Start> =
+            starts.iter().flat_map(|starts| starts.keys()).copied().collect();
+        let nothing = Delivered::default();
+        for (link, meter) in self.meters.iter_mut().enumerate() {
+            let longest_ns = meter.longest_age_ns().min(UNDER_WAY_NS) as i64;
+            let under_way_ns = (overview.span.1 as i64).saturating_sub(longest_ns);
+            for start in &all {
+                let [own, other] =
+                    [link, 1 - link].map(|k| starts[k].get(start).unwrap_or(&nothing));
+                let until_ns = if Some(*start) == last { under_way_ns } else { i64::MAX };
+                meter.lack(own.lack(other, overview.heard[link], until_ns));
+            }
+        }
+    }
+
+    /// Resamples a batch by its time of arrival.
+    fn by_arrival(
+        &mut self,
+        link: usize,
+        start: Start,
+        samples: &Samples,
+        host_ns: u64,
+        overview: &Overview,
+        clock: &ClockModel,
+    ) {
+        let latencies_ns = [0, self.meters[link].median_latency_ns() as i64];
+        let count = samples.values.len();
+        for (user, latency_ns) in self.users[link].iter_mut().zip(latencies_ns) {
+            for (index, sample) in samples.iter().enumerate() {
+                let Some(unit) = overview.unit(start, sample.sequence) else {
+                    user.restart();
+                    continue;
+                };
+                // A batch arrives at once; its samples are spaced by their period before its end.
+                let apart_ns = i64::from(samples.period.0) * i64::from(samples.every);
+                let before_ns = (count - 1 - index) as i64 * apart_ns + latency_ns;
+                let arrived = Ns((host_ns as i64).wrapping_sub(before_ns));
+                let taken = Ns(clock.host_ns(sample.time) as i64);
+                user.take(taken, arrived, unit.mps2(sample.value));
+            }
+        }
+    }
+
+    /// The error of resampling a link by the time of arrival.
+    pub fn arrival_error(&self, link: usize) -> ByArrival {
+        let [as_it_arrives, without_latency] = &self.users[link];
+        ByArrival {
+            rms_mps2: as_it_arrives.rms_mps2(),
+            rms_without_latency_mps2: without_latency.rms_mps2(),
+        }
     }
 }

@@ -1,13 +1,13 @@
 //! Statistics of one link, sample by sample.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 use wimu_link::LinkRole;
 use wimu_link::message::LinkStatus;
 
 use super::arrival::ByArrival;
-use super::pairing::Run;
+use super::delivery::{Delivered, Lack, Missing};
 use super::quantiles::{Durations, Quantiles};
 use crate::clock::{ClockModel, ClockSummary};
 use crate::decode::{LinkStatistics, Samples, StreamStatistics};
@@ -112,86 +112,31 @@ impl Slicing {
         let share = passed / (self.span_ns as f64).max(1.0);
         ((share * self.count as f64) as usize).min(self.count.saturating_sub(1))
     }
-}
 
-/// Samples missing in a link's own numbers.
-#[derive(Clone, Copy, Debug)]
-struct Gap {
-    first: u32,
-    /// From one to the next.
-    step: u32,
-    count: u32,
-    /// Host times of the samples before the first and after the last, ns.
-    between_ns: (i64, i64),
-}
-
-impl Gap {
-    fn time_ns(&self, index: u32) -> i64 {
-        let (from, to) = self.between_ns;
-        let share = f64::from(index + 1) / f64::from(self.count + 1);
-        from + (to.saturating_sub(from) as f64 * share) as i64
-    }
-
-    /// The first index after this one in a later slice, or the count; by bisection, because the count may be up to 2³¹.
-    fn end_of_slice(&self, index: u32, slicing: &Slicing) -> u32 {
-        let at = slicing.at(self.time_ns(index));
-        let (mut low, mut high) = (index + 1, self.count);
-        while low < high {
-            let middle = low + (high - low) / 2;
-            if slicing.at(self.time_ns(middle)) <= at {
-                low = middle + 1;
-            } else {
-                high = middle;
-            }
-        }
-        low
-    }
-
-    fn index_of(&self, number: u32) -> Option<u32> {
-        let behind = number.wrapping_sub(self.first);
-        let index = behind / self.step;
-        (behind.is_multiple_of(self.step) && index < self.count).then_some(index)
-    }
-
-    /// The parts before and after a sample that arrived late.
-    fn without(&self, index: u32) -> [Self; 2] {
-        let there_ns = self.time_ns(index);
-        [
-            Self { count: index, between_ns: (self.between_ns.0, there_ns), ..*self },
-            Self {
-                first: self.first.wrapping_add((index + 1) * self.step),
-                count: self.count - index - 1,
-                between_ns: (there_ns, self.between_ns.1),
-                ..*self
-            },
-        ]
+    /// Host time of the end of a slice, ns.
+    fn end_ns(&self, slice: usize) -> i64 {
+        let share = (slice + 1) as f64 / self.count.max(1) as f64;
+        self.start_ns.saturating_add((self.span_ns as f64 * share) as i64)
     }
 }
-
-/// Largest number of gaps that late samples may still fill.
-const MAX_GAPS: usize = 256;
 
 /// Measures one link.
 #[derive(Debug, Default)]
 pub(super) struct LinkMeter {
     pub delivered: u64,
-    /// Between the first and last sample of each start.
-    pub lost: u64,
-    /// Outside of these.
-    lost_at_ends: u64,
-    pub before: u64,
-    pub under_way: u64,
-    /// Samples missing in this link's own numbers.
-    missing: u64,
-    gaps: VecDeque<Gap>,
+    /// What it delivered of each start, and what it lacks of all.
+    starts: BTreeMap<Start, Delivered>,
+    /// The latest start.
+    current: Option<Start>,
+    /// Whether a part of the file is missing since the last sample.
+    hole: bool,
+    lack: Lack,
     bursts: BTreeMap<u32, u64>,
     latency: Durations,
     age: Durations,
     last_latency: Option<i64>,
     jitter_sum_ns: f64,
     jitter_count: u64,
-    /// Number and host time, ns, of the latest sample.
-    latest: Option<(u32, i64)>,
     shed: BTreeMap<Start, Shed>,
     /// When it was opened last, if it is open, and the total of earlier open times, ns.
     opened_ns: Option<u64>,
@@ -213,16 +158,24 @@ impl LinkMeter {
         Self { slicing, slices: vec![Slice::default(); slicing.count], ..Self::default() }
     }
 
-    /// Ends the sequence: the device has restarted, or a part of the file is missing.
-    pub fn skip(&mut self) {
-        self.latest = None;
+    /// Ends the sequence: a part of the file is missing.
+    pub fn interrupt(&mut self) {
         self.last_latency = None;
-        self.count_gaps(0);
+        self.hole = true;
     }
 
     /// Notes that the link is open.
     pub fn is_open(&mut self, host_ns: u64) {
         self.opened_ns.get_or_insert(host_ns);
+    }
+
+    /// Ends the recording: what was delivered in each start.
+    pub fn finish(&mut self, host_ns: u64) -> BTreeMap<Start, Delivered> {
+        self.close(host_ns);
+        if let Some(start) = self.current.filter(|_| self.hole) {
+            self.enter(start);
+        }
+        std::mem::take(&mut self.starts)
     }
 
     /// The link was lost, or the recording has ended.
@@ -232,33 +185,30 @@ impl LinkMeter {
         }
     }
 
-    /// Takes samples that arrived at `host_ns`.
-    pub fn take(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
-        self.delivered += samples.values.len() as u64;
-        let step = u32::from(samples.every.max(1));
+    /// Takes samples that arrived at `host_ns`, after later ones if `is_late`.
+    pub fn take(
+        &mut self,
+        start: Start,
+        samples: &Samples,
+        is_late: bool,
+        host_ns: u64,
+        clock: &ClockModel,
+    ) {
+        if self.current != Some(start) || self.hole {
+            self.enter(start);
+        }
         let mut latency = None;
         for sample in samples.iter() {
             let taken_ns = clock.host_ns(sample.time) as i64;
-            if let Some((latest, before_ns)) = self.latest.replace((sample.sequence, taken_ns)) {
-                let ahead = sample.sequence.wrapping_sub(latest);
-                let count = ahead.saturating_sub(1) / step;
-                if count > 0 && ahead < u32::MAX / 2 {
-                    self.missing += u64::from(count);
-                    self.gaps.push_back(Gap {
-                        first: sample.sequence.wrapping_sub(count * step),
-                        step,
-                        count,
-                        between_ns: (before_ns, taken_ns),
-                    });
-                }
-            }
+            let delivered = self.starts.entry(start).or_default();
+            delivered.take(sample.sequence, samples.every, taken_ns);
+            self.delivered += 1;
             let delay = (host_ns as i64).wrapping_sub(taken_ns);
             self.age.push(delay);
             latency = Some(delay);
             self.slice(taken_ns).delivered += 1;
         }
-        self.count_gaps(MAX_GAPS);
-        if let Some(latency) = latency {
+        if let Some(latency) = latency.filter(|_| !is_late) {
             self.latency.push(latency);
             self.slice(host_ns as i64).latency.push(latency);
             if let Some(before) = self.last_latency.replace(latency) {
@@ -268,24 +218,48 @@ impl LinkMeter {
         }
     }
 
-    /// Takes samples that arrived at `host_ns`, after later ones.
-    pub fn take_late(&mut self, samples: &Samples, host_ns: u64, clock: &ClockModel) {
-        for sample in samples.iter() {
-            let taken_ns = clock.host_ns(sample.time) as i64;
-            self.delivered += 1;
-            self.age.push((host_ns as i64).wrapping_sub(taken_ns));
-            self.slice(taken_ns).delivered += 1;
-            let found = self.gaps.iter().enumerate();
-            let mut found =
-                found.filter_map(|(at, gap)| Some((at, *gap, gap.index_of(sample.sequence)?)));
-            if let Some((at, gap, index)) = found.next() {
-                self.missing -= 1;
-                self.gaps.remove(at);
-                let left = gap.without(index).into_iter().rev();
-                for part in left.filter(|part| part.count > 0) {
-                    self.gaps.insert(at, part);
-                }
+    /// Begins a start of the board, or goes on after a hole, which is in the start before too.
+    fn enter(&mut self, start: Start) {
+        let before = self.current.replace(start);
+        if before != Some(start) {
+            self.last_latency = None;
+        }
+        if std::mem::take(&mut self.hole) {
+            for start in [before, Some(start)].into_iter().flatten() {
+                self.starts.entry(start).or_default().interrupt();
             }
+        }
+    }
+
+    /// Takes what the link did not deliver of a start.
+    pub fn lack(&mut self, lack: Lack) {
+        self.lack.lost += lack.lost;
+        self.lack.before += lack.before;
+        self.lack.under_way += lack.under_way;
+        self.lack.on_both += lack.on_both;
+        for missing in lack.runs {
+            *self.bursts.entry(missing.count.max(1).ilog2()).or_default() += 1;
+            self.spread(&missing);
+        }
+    }
+
+    /// Adds missing samples, evenly over their time, to the slices.
+    fn spread(&mut self, missing: &Missing) {
+        let [from_ns, to_ns] = missing.between_ns;
+        let [first, last] = [from_ns, to_ns].map(|ns| self.slicing.at(ns));
+        let length_ns = to_ns.saturating_sub(from_ns).max(1) as f64;
+        let mut done = 0;
+        for slice in first..=last {
+            let end_ns = self.slicing.end_ns(slice);
+            let part = end_ns.saturating_sub(from_ns) as f64 / length_ns;
+            let until = match slice == last {
+                true => missing.count,
+                false => ((part * missing.count as f64).round() as u64).clamp(done, missing.count),
+            };
+            if let Some(slice) = self.slices.get_mut(slice) {
+                slice.missing += until - done;
+            }
+            done = until;
         }
     }
 
@@ -296,39 +270,6 @@ impl LinkMeter {
         }
         let last = self.slices.len() - 1;
         &mut self.slices[at.min(last)]
-    }
-
-    /// Counts all gaps but the last `left`, which late samples may still fill.
-    fn count_gaps(&mut self, left: usize) {
-        while self.gaps.len() > left
-            && let Some(gap) = self.gaps.pop_front()
-        {
-            let mut index = 0;
-            while index < gap.count {
-                let end = gap.end_of_slice(index, &self.slicing);
-                self.slice(gap.time_ns(index)).missing += u64::from(end - index);
-                index = end;
-            }
-            *self.bursts.entry(gap.count.max(1).ilog2()).or_default() += 1;
-        }
-    }
-
-    /// Takes a run of samples that the link did not deliver before its first or after its last one of a start.
-    pub fn lack(&mut self, run: &Run) {
-        for taken_ns in &run.taken_ns {
-            self.slice(*taken_ns).missing += 1;
-        }
-        let count = run.taken_ns.len() as u64 + run.more;
-        if let Some(power) = count.checked_ilog2() {
-            self.lost_at_ends += count;
-            *self.bursts.entry(power).or_default() += 1;
-        }
-    }
-
-    /// Ends the recording at `host_ns`.
-    pub fn finish(&mut self, host_ns: u64) {
-        self.close(host_ns);
-        self.count_gaps(0);
     }
 
     /// The longest time from a sample to its arrival, ns.
@@ -376,10 +317,10 @@ impl LinkMeter {
         LinkReport {
             link: role.to_string(),
             delivered: self.delivered,
-            lost: self.lost + self.lost_at_ends,
-            before: self.before,
-            under_way: self.under_way,
-            missing_on_both: self.missing.saturating_sub(self.lost),
+            lost: self.lack.lost,
+            before: self.lack.before,
+            under_way: self.lack.under_way,
+            missing_on_both: self.lack.on_both,
             duplicated: stream.duplicated,
             late: stream.late,
             frames: statistics.frames,

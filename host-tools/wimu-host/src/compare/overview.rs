@@ -6,9 +6,8 @@ use std::io::Read;
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 
-use super::holes::Holes;
+use super::delivery::Heard;
 use super::link::Slicing;
-use super::pairing::Heard;
 use super::{ROLES, SLICES, UNDER_WAY_NS, index_of, refused};
 use crate::Result;
 use crate::capture::{Capture, Link};
@@ -26,7 +25,6 @@ pub(super) struct Overview {
     pub starts: BTreeMap<Start, usize>,
     pub span: (u64, u64),
     pub heard: [Heard; 2],
-    pub holes: Holes,
 }
 
 impl Overview {
@@ -34,16 +32,11 @@ impl Overview {
         let mut span: Option<(u64, u64)> = None;
         // Host times of the opening and the first data of each link, and its first decimation.
         let (mut opened_ns, mut heard_ns, mut every) = ([None; 2], [None; 2], [None; 2]);
-        // By stream.
-        let mut holes: [Holes; 2] = Default::default();
-        let recording = Capture::survey_of(reader, name, |role, start, step| {
+        let recording = Capture::survey_of(reader, name, |role, _, step| {
             let link = index_of(role);
             match step {
                 Step::Other(Recorded::Sent { host_ns, .. }) => {
                     opened_ns[link].get_or_insert(*host_ns);
-                }
-                Step::Other(Recorded::Damaged { .. }) => {
-                    holes.iter_mut().for_each(|holes| holes.open(link))
                 }
                 Step::Arrival(arrival) => {
                     let (first, last) = span.unwrap_or((arrival.host_ns, arrival.host_ns));
@@ -53,7 +46,6 @@ impl Overview {
                         && heard.sensor == 0
                     {
                         every[link].get_or_insert(heard.every);
-                        holes[heard.stream as usize].take(link, start, heard);
                     }
                 }
                 Step::Other(_) => {}
@@ -95,8 +87,6 @@ impl Overview {
                     "set both to the same stream: `wimu device settings set LINK --cable raw --wireless raw`",
                 )
             })?;
-        let mut holes = std::mem::take(&mut holes[stream as usize]);
-        holes.close();
         let mut starts: BTreeMap<Start, usize> = BTreeMap::new();
         for boot in links.into_iter().flatten().flat_map(|link| &link.boots) {
             let counts = [Stream::Raw, Stream::Corrected].map(|stream| boot.counts.of(0, stream));
@@ -117,7 +107,6 @@ impl Overview {
                     every: every[link].unwrap_or(1),
                 }
             }),
-            holes,
             recording,
         })
     }

@@ -28,7 +28,6 @@ use layout::{Group, Layout};
 use rows::{Count, Fault};
 use survey::{Column, Survey};
 use times::Times;
-pub(crate) use units::acceleration_unit;
 use values::Conversion;
 
 use super::{ReadOptions, Source};

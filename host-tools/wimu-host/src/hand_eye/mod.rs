@@ -134,9 +134,11 @@ fn solve(
             .findings
             .push(finding.remedy("check that both are of one rigid body, and the clock"));
     }
-    let (observations, blocks) = observations(camera, body, offset.offset_s)?;
-    let rotation = start::rotation(camera, body, offset.offset_s)?;
-    let state = State::begin(rotation, offset.offset_s, body, &observations, blocks);
+    // The fit refines it.
+    let offset_s = offset.grid_offset_s;
+    let (observations, blocks) = observations(camera, body, offset_s)?;
+    let rotation = start::rotation(camera, body, offset_s)?;
+    let state = State::begin(rotation, offset_s, body, &observations, blocks);
     fit::fit(state, body, &observations).ok_or_else(|| {
         "the motion does not show the camera's rotation: turn the body about two axes".to_owned()
     })
@@ -148,11 +150,15 @@ fn observations(
     body: &PoseStream,
     offset_s: f64,
 ) -> std::result::Result<(Vec<Observation>, usize), String> {
-    let mut poses: Vec<StreamPose> = Vec::new();
+    let (mut poses, mut last_s) = (Vec::<StreamPose>::new(), f64::NEG_INFINITY);
     for pose in camera.poses() {
-        let due = poses.last().is_none_or(|last| pose.time_s - last.time_s > 0.99 * APART_S);
-        if due && body.at(pose.time_s + offset_s).is_some() {
-            poses.push(*pose);
+        // Which poses are taken does not depend on the offset.
+        if pose.time_s - last_s <= 0.99 * APART_S {
+            continue;
+        }
+        last_s = pose.time_s;
+        if body.at(pose.time_s + offset_s).is_some() {
+            poses.push(pose);
         }
     }
     if poses.len() < BLOCKS * BLOCK_POSES {

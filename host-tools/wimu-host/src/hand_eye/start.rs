@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::stream::PoseStream;
+use crate::stats::cauchy_weights;
 
 /// Interval over which rotations are compared, s: long against the noise, short against the drift of trackers.
 const OVER_S: f64 = 2.0;
@@ -53,8 +54,7 @@ pub(super) fn rotation(
         signs[smallest] = sign;
         rotation = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v);
         let errors: Vec<f64> = pairs.iter().map(|(c, b)| (b - rotation * c).norm()).collect();
-        let scale = crate::stats::median(errors.iter().copied()).unwrap_or(0.0) + 1e-9;
-        weights = errors.iter().map(|e| 1.0 / (1.0 + (e / scale).powi(2))).collect();
+        weights = cauchy_weights(&errors);
     }
     Ok(UnitQuaternion::from_rotation_matrix(&rotation))
 }

@@ -5,9 +5,10 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::csv::columns::{LENGTH, NUMBER, TIME, Table};
-use crate::lag::scores;
-use crate::motion::{MotionRecording, median_step_s};
+use crate::lag::{Lag, Search, lag};
+use crate::motion::MotionRecording;
 use crate::plural::counted;
+use crate::series::{Interp, Ns, Series, Value};
 use crate::{Code, Problem, Result};
 
 /// Interval over which the angular rate of a stream is taken, s: longer than the period of a camera, shorter than a motion
@@ -41,9 +42,44 @@ pub struct PoseStream {
     pub inertial: bool,
     /// What was noticed at reading.
     pub findings: Vec<Problem>,
-    poses: Vec<StreamPose>,
-    /// Longest interval over which poses are interpolated, s.
-    gap_s: f64,
+    poses: Series<Pose>,
+}
+
+/// Position, m, and rotation of a body in its tracker's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Pose {
+    position_m: Vector3<f64>,
+    rotation: UnitQuaternion<f64>,
+}
+
+impl Value for Pose {
+    /// Of two poses: constant velocity and angular rate.
+    fn combined(mut terms: impl Iterator<Item = (f64, Self)>) -> Self {
+        let (mut position_m, mut turned) = (Vector3::zeros(), Vector3::zeros());
+        let (weight, first) = terms.next().unwrap_or((1.0, Self::default()));
+        position_m += first.position_m * weight;
+        for (weight, pose) in terms {
+            position_m += pose.position_m * weight;
+            turned += (first.rotation.inverse() * pose.rotation).scaled_axis() * weight;
+        }
+        let rotation = first.rotation * UnitQuaternion::from_scaled_axis(turned);
+        Self { position_m, rotation }
+    }
+
+    fn distance(&self, other: &Self) -> f64 {
+        let apart = self.position_m.distance(&other.position_m);
+        apart.max(self.rotation.angle_to(&other.rotation))
+    }
+
+    fn is_finite(&self) -> bool {
+        Value::is_finite(&self.position_m) && Value::is_finite(&self.rotation.coords)
+    }
+}
+
+impl Default for Pose {
+    fn default() -> Self {
+        Self { position_m: Vector3::zeros(), rotation: UnitQuaternion::identity() }
+    }
 }
 
 /// Pose and velocity between two poses.
@@ -66,7 +102,10 @@ impl PoseStream {
         let name = name.into();
         let given = poses.len();
         poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        poses.dedup_by(|b, a| b.time_s <= a.time_s);
+        let rows = poses.into_iter().map(|StreamPose { time_s, position_m, rotation }| {
+            (Ns::from_s(time_s), Pose { position_m, rotation })
+        });
+        let poses = Series::of(rows);
         if poses.len() < 2 {
             let message = format!("{name} has fewer than two poses");
             return Err(Code::NoRows.error(message, "record the motion for a minute"));
@@ -77,16 +116,15 @@ impl PoseStream {
             let text = format!("{name}: {lost} left out: the time repeats");
             findings.push(Code::TimesUnordered.warning(text));
         }
-        let times: Vec<f64> = poses.iter().map(|pose| pose.time_s).collect();
-        let step_s = median_step_s(&times);
+        let step_s = poses.period_s();
         if step_s > MOST_STEP_S {
             let message = format!("{name}: the poses are {step_s:.3} s apart");
             let remedy =
                 "check the unit of the times: name the column `Time (ms)` if they are in ms";
             return Err(Code::DataRefused.error(message, remedy));
         }
-        let gap_s = f64::max(0.15, 3.0 * step_s);
-        Ok(Self { name, inertial: false, findings, poses, gap_s })
+        let poses = poses.with_gap(f64::max(0.15, 3.0 * step_s));
+        Ok(Self { name, inertial: false, findings, poses })
     }
 
     /// Reads a table with `Time (s)`, `Position X (m)` (or `E`), …, `Quaternion W`, … (body to frame), or a trajectory in the
@@ -169,71 +207,58 @@ impl PoseStream {
     }
 
     /// The poses.
-    pub fn poses(&self) -> &[StreamPose] {
-        &self.poses
+    pub fn poses(&self) -> impl Iterator<Item = StreamPose> {
+        let rows = self.poses.t.iter().zip(&self.poses.v);
+        rows.map(|(t, pose)| StreamPose {
+            time_s: t.s(),
+            position_m: pose.position_m,
+            rotation: pose.rotation,
+        })
     }
 
     /// First and last time, s.
     pub fn span_s(&self) -> [f64; 2] {
-        [self.poses[0].time_s, self.poses[self.poses.len() - 1].time_s]
+        self.poses.span().unwrap_or_default().map(Ns::s)
     }
 
-    /// The pose at a time; `None` outside the stream and in its gaps. Constant velocity and angular rate between poses.
+    /// The pose at a time; `None` outside the stream and in its gaps.
     pub(super) fn at(&self, time_s: f64) -> Option<Interpolated> {
-        let after = self.poses.partition_point(|pose| pose.time_s <= time_s);
-        let after = after.min(self.poses.len() - 1).max(1);
-        let (a, b) = (&self.poses[after - 1], &self.poses[after]);
-        let step = b.time_s - a.time_s;
-        let part = (time_s - a.time_s) / step;
-        if !(0.0..=1.0).contains(&part) || step > self.gap_s {
-            return None;
-        }
-        let rotation = (a.rotation.inverse() * b.rotation).scaled_axis();
+        let time = Ns::from_s(time_s);
+        let before = self.poses.interval(time)?;
+        let Pose { position_m, rotation } = self.poses.at(time, Interp::Linear)?.value;
+        let [a, b] = [before, before + 1].map(|row| self.poses.v[row]);
+        let step_s = self.poses.t[before + 1].since_s(self.poses.t[before]);
         Some(Interpolated {
-            position_m: a.position_m.lerp(&b.position_m, part),
-            rotation: a.rotation * UnitQuaternion::from_scaled_axis(rotation * part),
-            velocity_mps: (b.position_m - a.position_m) / step,
-            rate_rad_s: rotation / step,
+            position_m,
+            rotation,
+            velocity_mps: (b.position_m - a.position_m) / step_s,
+            rate_rad_s: (a.rotation.inverse() * b.rotation).scaled_axis() / step_s,
         })
     }
 
-    /// Magnitudes of the angular rate at equal steps from the first pose on, rad/s; not a number in gaps.
-    fn rates(&self) -> Vec<f64> {
+    /// Magnitudes of the angular rate at equal steps from the first pose on, rad/s, without gaps.
+    fn rates(&self) -> Series<f64> {
         let [from, to] = self.span_s();
         let count = ((to - from - RATE_OVER_S) / OFFSET_STEP_S).max(0.0) as usize;
         let rate = |step: usize| {
             let time_s = from + step as f64 * OFFSET_STEP_S;
             let (a, b) = (self.at(time_s)?, self.at(time_s + RATE_OVER_S)?);
-            Some(a.rotation.angle_to(&b.rotation) / RATE_OVER_S)
+            Some((Ns::from_s(time_s), a.rotation.angle_to(&b.rotation) / RATE_OVER_S))
         };
-        (0..count).map(|step| rate(step).unwrap_or(f64::NAN)).collect()
+        Series::of((0..count).filter_map(rate))
     }
 }
 
 const TUM: &str = "Time (s),Position X (m),Position Y (m),Position Z (m),Quaternion X,Quaternion Y,Quaternion Z,Quaternion W";
 
-/// Clock offset of two streams: the lag of the largest correlation of their angular rates' magnitudes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Offset {
-    /// Time of the body's clock less that of the camera's, s.
-    pub offset_s: f64,
-    /// The correlation there.
-    pub correlation: f64,
-}
-
-/// The clock offset within ± `limit_s`, or any without a limit; `None` if the streams overlap nowhere for [`OVERLAP_S`].
+/// Time of the body's clock less that of the camera's, within ± `limit_s` or any without a limit, by the magnitudes of both angular
+/// rates; `None` if the streams overlap nowhere for [`OVERLAP_S`].
 pub(super) fn clock_offset(
     camera: &PoseStream,
     body: &PoseStream,
     limit_s: Option<f64>,
-) -> Option<Offset> {
-    let (a, b) = (camera.rates(), body.rates());
-    let apart_s = body.span_s()[0] - camera.span_s()[0];
-    let least = (OVERLAP_S / OFFSET_STEP_S) as usize;
-    let all = scores(&a, &b, least).into_iter().map(|(correlation, lag)| Offset {
-        offset_s: apart_s - lag as f64 * OFFSET_STEP_S,
-        correlation,
-    });
-    all.filter(|offset| limit_s.is_none_or(|limit| offset.offset_s.abs() <= limit))
-        .max_by(|a, b| a.correlation.total_cmp(&b.correlation))
+) -> Option<Lag> {
+    let reach_s = limit_s.unwrap_or(f64::INFINITY);
+    let search = Search { around_s: 0.0, reach_s, overlap_s: OVERLAP_S };
+    lag(&body.rates(), &camera.rates(), &search)
 }

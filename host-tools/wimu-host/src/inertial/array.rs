@@ -4,11 +4,9 @@ use wimu_nav::array::ArrayState;
 
 use super::truth::{compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
-use crate::array::{
-    Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions,
-    corrected_delays, navigated_axes,
-};
+use crate::array::{Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
 use crate::motion::{LIKELY, heading_rad, nees};
+use crate::series::Ns;
 use crate::stats::norm;
 use crate::{Code, Problem, Result};
 
@@ -17,11 +15,11 @@ const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). Delays of sensors that the motion
-/// contradicts are corrected, with a note; a size of the array that it contradicts is a warning.
+/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A size of the array that the motion contradicts
+/// is a warning.
 ///
-/// With [`Choice::smooth`] the angular rate is that from the whole recording, equation (80), where its variance is smaller.
-/// The deviation of an uncalibrated array is that of the filter. Attitude, velocity and position are those of the filter.
+/// With [`Choice::smooth`] the angular rate is that from the whole recording. Attitude, velocity and position are those of the
+/// filter.
 ///
 /// # Errors
 /// Those of [`ArrayBody`]; `data_refused` where the sensors contradict each other, what
@@ -32,11 +30,6 @@ pub fn navigate_array(
     calibration: &ArrayCalibration,
     choice: &Choice,
 ) -> Result<InertialPath> {
-    let corrected = corrected_delays(recording, geometry, calibration)?;
-    let (recording, calibration) = match &corrected {
-        Some(corrected) => (&corrected.recording, &corrected.calibration),
-        None => (recording, calibration),
-    };
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
     let gravity = if calibration.uncalibrated.is_some() || calibration.stored {
         // Where biases may explain what it differs by, gravity is what it is.
@@ -57,18 +50,7 @@ pub fn navigate_array(
     let body = ArrayBody::of(recording, geometry, calibration)?;
     let (mut states, remarks) = body.navigated(gravity, choice.zupt)?;
     if choice.smooth {
-        let smoothed = body.angular_rate()?;
-        let rates = (smoothed.rate_rad_s.into_iter()).zip(smoothed.rate_covariance);
-        for (state, (rate, covariance)) in states.iter_mut().zip(rates) {
-            // The filter knows of rests, and of sensors that fail on the way.
-            if trace(&covariance) < trace(&state.rate_covariance) {
-                state.rate_rad_s = rate;
-                // Uncalibrated biases and scale factors do not average out: they are states of the filter.
-                if calibration.uncalibrated.is_none() {
-                    state.rate_covariance = covariance;
-                }
-            }
-        }
+        body.smooth_rates(&mut states, gravity, choice.zupt)?;
     }
     let agreement = body.agreement();
     match agreement {
@@ -83,9 +65,7 @@ pub fn navigate_array(
         },
         Agreement::findings,
     );
-    let mut said = Vec::new();
-    said.extend(calibration.remarks());
-    said.extend(corrected.iter().flat_map(|corrected| corrected.remarks.iter().cloned()));
+    let mut said = calibration.remarks();
     said.extend(point_of(geometry));
     let span = geometry.span_m();
     if span > ArrayGeometry::LARGE_M {
@@ -112,25 +92,6 @@ fn point_of(geometry: &ArrayGeometry) -> Option<String> {
     })
 }
 
-/// Navigates single axes ([`ArrayRecording::axes_from_csv`]); `known` says how well their places and times are.
-///
-/// # Errors
-/// Those of [`navigated_axes`]; `data_refused` where no position is valid.
-pub fn navigate_axes(
-    recording: &ArrayRecording,
-    geometry: &ArrayGeometry,
-    known: &RefineOptions,
-    choice: &Choice,
-) -> Result<InertialPath> {
-    let (states, remarks) = navigated_axes(recording, geometry, known, choice.zupt)?;
-    let point = point_of(geometry).map(|text| Code::Geometry.note(text));
-    path_of(recording, &states, choice, warnings(remarks).chain(point))
-}
-
-fn trace(matrix: &[[f64; 3]; 3]) -> f64 {
-    (0..3).map(|i| matrix[i][i]).sum()
-}
-
 fn warnings(texts: Vec<String>) -> impl Iterator<Item = Problem> {
     (texts.into_iter()).map(|text| Code::Navigation.warning(text))
 }
@@ -148,7 +109,7 @@ fn path_of(
         .zip(&recording.times_s)
         .map(|(state, time_s)| PathPoint {
             // To the nanosecond, as the file says it.
-            time_s: ((recording.start_s + time_s) * 1e9).round() * 1e-9,
+            time_s: Ns(recording.start_ns).after_s(*time_s).s(),
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
             velocity_sd_mps: [0.0; 3],

@@ -2,7 +2,6 @@
 
 use wimu_nav::navigator::{Profile, Sample};
 use wimu_nav::stance::AHEAD_S;
-use wimu_nav::stationarity::Detector;
 
 use super::fixes::{Aided, Fix};
 use super::headings::Headings;
@@ -11,6 +10,7 @@ use super::track::{Input, counted_findings};
 use super::unit::{OnceEachField, Unit, detector, noise_mps2, sample};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::motion::{MotionRecording, UnitSample, other_clock};
+use crate::rests::RestLimits;
 use crate::{Code, Problem, Result};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
@@ -70,7 +70,7 @@ impl Live {
     /// Before the first sample. `of` has the full scale and the calibration of the sensors; fixes may arrive `delay_s` late.
     pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
         let window_s = match choice.profile {
-            Profile::Foot => Detector::foot().window_s + AHEAD_S,
+            Profile::Foot => RestLimits::foot().window_s + AHEAD_S,
             profile => detector(profile).window_s,
         };
         Self {

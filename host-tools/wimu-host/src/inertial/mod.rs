@@ -44,7 +44,7 @@ mod vehicle;
 
 use std::ops::RangeInclusive;
 
-pub use array::{navigate_array, navigate_axes};
+pub use array::navigate_array;
 pub use fix_link::{FixLink, LeastDelay};
 pub(crate) use fixes::LINE_OF_SIGHT;
 pub use fixes::{Aided, Fix, Fixes};

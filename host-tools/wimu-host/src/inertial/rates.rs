@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use nalgebra::{Rotation3, Vector3};
-use wimu_nav::stationarity::{Detector, Stationarity};
 
 use crate::motion::{MotionRecording, UnitSample};
+use crate::rests::{self, RestLimits};
 use crate::{Code, Problem, Result};
 
 /// Nothing that is carried rotates faster, rad/s.
@@ -88,20 +88,13 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
 
 /// Rests of a recording whose angular rate, times a factor, is right.
 fn rests(recording: &MotionRecording, factor: f64) -> Vec<Range<usize>> {
-    let mut settings = Detector::default();
-    settings.gravity_mps2 = recording.gravity_mps2();
-    let mut detector = Stationarity::new(settings);
-    let mut found: Vec<Range<usize>> = Vec::new();
-    for (k, sample) in recording.samples.iter().enumerate() {
+    let mut limits = RestLimits::default();
+    limits.gravity_mps2 = recording.gravity_mps2();
+    let samples = recording.samples.iter().map(|sample| {
         let rate = sample.rate_rad_s.map(|rate| factor * Vector3::from(rate));
-        if !detector.push(&sample.force_mps2.into(), rate.as_ref(), sample.step_s) {
-            continue;
-        }
-        match found.last_mut().filter(|rest| rest.end == k) {
-            Some(rest) => rest.end = k + 1,
-            None => found.push(k..k + 1),
-        }
-    }
+        (sample.force_mps2.into(), rate, sample.step_s)
+    });
+    let mut found = rests::rests(samples, limits);
     let times = &recording.times_s;
     found.retain(|rest| times[rest.end - 1] - times[rest.start] >= REST_S);
     found

@@ -7,7 +7,6 @@ use wimu_nav::navigator::{
     Motion, Navigator, Profile, Rests, Sample, Settings, Start, VehicleErrors,
 };
 use wimu_nav::stance::stances;
-use wimu_nav::stationarity::{Detector, Stationarity};
 
 use super::fixes::{Fix, Fixes};
 use super::moves::{moves, smoothed_moves};
@@ -18,6 +17,7 @@ use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
+use crate::rests::{RestDetector, RestLimits};
 use crate::stats::quantile;
 use crate::{Code, Problem, Result};
 
@@ -284,7 +284,7 @@ impl<'a> Unit<'a> {
 
     fn found_stances(&self, samples: &[Sample]) -> Vec<Option<f64>> {
         let mut found = vec![None; samples.len()];
-        let statistics = self.statistics(samples, Detector::foot());
+        let statistics = self.statistics(samples, RestLimits::foot());
         stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
         found
     }
@@ -314,9 +314,9 @@ impl<'a> Unit<'a> {
     }
 
     /// Statistic of the window about each sample; the nearest full window at both ends.
-    fn statistics(&self, samples: &[Sample], mut settings: Detector) -> Vec<f64> {
+    fn statistics(&self, samples: &[Sample], mut settings: RestLimits) -> Vec<f64> {
         settings.gravity_mps2 = self.gravity_mps2;
-        let mut detector = Stationarity::new(settings);
+        let mut detector = RestDetector::new(settings);
         let (mut found, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
         let mut filling = 0;
         let mut last = f64::INFINITY;
@@ -409,10 +409,10 @@ impl<'a> Unit<'a> {
 }
 
 /// The detector of rests for a profile.
-pub(super) fn detector(profile: Profile) -> Detector {
+pub(super) fn detector(profile: Profile) -> RestLimits {
     match profile {
-        Profile::Vehicle => Detector::vehicle(),
-        _ => Detector::default(),
+        Profile::Vehicle => RestLimits::vehicle(),
+        _ => RestLimits::default(),
     }
 }
 

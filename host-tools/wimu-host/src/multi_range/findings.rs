@@ -27,7 +27,7 @@ const EXCEEDS: f64 = 1.25;
 
 /// Whether the samples contradict the full scales that were given, in ascending order.
 pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
-    let is_same = |pair: &&[Sensor]| pair[0].series.values == pair[1].series.values;
+    let is_same = |pair: &&[Sensor]| pair[0].series.v == pair[1].series.v;
     if let Some([a, b]) = sensors.windows(2).find(is_same) {
         return Err(Code::DataRefused.error(
             format!("accelerometers {} and {} have the same samples", a.sensor, b.sensor),
@@ -35,8 +35,7 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
         ));
     }
     for sensor in sensors {
-        let axes = sensor.series.values.iter().flatten();
-        let most = axes.fold(0.0, |most: f64, axis| most.max(axis.abs()));
+        let most = sensor.series.v.iter().fold(0.0, |most: f64, force| most.max(force.amax()));
         if most > EXCEEDS * sensor.full_scale {
             return Err(Code::Usage.error(
                 format!(
@@ -120,7 +119,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
         ),
         _ => {}
     }
-    let [fine_hz, coarse_hz] = [finest, coarse].map(|sensor| 1.0 / sensor.series.period_s);
+    let [fine_hz, coarse_hz] = [finest, coarse].map(|sensor| 1.0 / sensor.series.period_s());
     if coarse_hz * WIDER < fine_hz {
         findings.push(Code::Rate.warning(format!(
             "accelerometer {fit_name} has {coarse_hz:.0} Hz and {} {fine_hz:.0} Hz: impacts shorter than {:.0} ms are not \
@@ -152,9 +151,9 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
 pub(super) fn saturated(readings: &[[Reading; 3]], sensors: &[Sensor]) -> Option<Problem> {
     let limited = |reading: &Reading| matches!(reading, Reading::AtLeast(_) | Reading::AtMost(_));
     let is_lost = |readings: &&[Reading; 3]| readings.iter().any(limited);
-    let times = sensors.first()?.series.times_s.iter();
+    let times = sensors.first()?.series.t.iter();
     let mut lost = readings.iter().zip(times).filter(|(r, _)| is_lost(r));
-    let (_, first_s) = lost.next()?;
+    let first_s = lost.next()?.1.s();
     Some(Code::Saturated.warning(format!(
         "all accelerometers are saturated in {}, first at {first_s:.2} s: left out",
         crate::plural::counted(1 + lost.count(), "sample")

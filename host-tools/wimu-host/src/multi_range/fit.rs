@@ -3,9 +3,9 @@
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use wimu_nav::sensor::{Reading, Transfer, TransferModel};
 
-use crate::lag::correlation;
-use crate::series::Series;
-use crate::stats::{norm, quantile};
+use crate::lag::{Search, lag};
+use crate::series::{Interp, Ns, Series};
+use crate::stats::quantile;
 
 /// Before: bias, m/s² (± 150 mg, ADXL345 datasheet), and elements of the matrix (1 σ).
 pub(super) const BIAS_MPS2: f64 = 1.5;
@@ -13,12 +13,10 @@ pub(super) const MATRIX: f64 = 0.05;
 /// The same of the delay, s (half of a sample period at 100 Hz), and of the rate of the clock.
 const DELAY_S: f64 = 0.005;
 const DRIFT: f64 = 200e-6;
-/// Largest delay that is searched, s, step of the search, and rows that are compared.
+/// Largest delay that is searched, s.
 const SEARCH_S: f64 = 2.0;
-const SEARCH_STEP_S: f64 = 0.01;
-const SEARCH_ROWS: usize = 4000;
-/// Correlation of the magnitudes above which no delay is searched.
-const ALIGNED: f64 = 0.9;
+/// Least correlation of the magnitudes at a delay.
+const CORRELATION: f64 = 0.5;
 /// Error of an interpolated value next to a kink, over the second difference of the samples.
 const UNRESOLVED: f64 = 0.1;
 /// Fewest pairs of samples of a fit.
@@ -33,7 +31,7 @@ const WINDOW: usize = 32;
 
 /// What is known of the finer side at its times.
 pub(super) struct Fine<'a> {
-    pub times_s: &'a [f64],
+    pub times: &'a [Ns],
     pub readings: &'a [[Reading; 3]],
     /// Variance of a sample, m²/s⁴.
     pub noise: [f64; 3],
@@ -46,7 +44,7 @@ pub(super) struct Clock {
     pub drift: f64,
     pub delay_sd_s: f64,
     pub drift_sd: f64,
-    middle_s: f64,
+    middle: Ns,
 }
 
 /// The coarse accelerometer relative to the finer side.
@@ -62,19 +60,18 @@ pub(super) struct Fit {
 }
 
 impl Clock {
-    fn lag_s(&self, time_s: f64) -> f64 {
-        self.delay_s + self.drift * (time_s - self.middle_s)
+    fn lag_s(&self, time: Ns) -> f64 {
+        self.delay_s + self.drift * time.since_s(self.middle)
     }
 
     /// The samples at the times at which they were taken.
-    pub fn corrected(&self, coarse: &Series) -> Series {
-        let times = coarse.times_s.iter();
-        Series { times_s: times.map(|time| time - self.lag_s(*time)).collect(), ..coarse.clone() }
+    pub fn corrected(&self, coarse: &Series<Vector3<f64>>) -> Series<Vector3<f64>> {
+        coarse.retimed(|time| time.after_s(-self.lag_s(*time)))
     }
 
     /// Variance of the time of a sample, s².
-    pub fn variance(&self, time_s: f64) -> f64 {
-        self.delay_sd_s.powi(2) + (self.drift_sd * (time_s - self.middle_s)).powi(2)
+    pub fn variance(&self, time: Ns) -> f64 {
+        self.delay_sd_s.powi(2) + (self.drift_sd * time.since_s(self.middle)).powi(2)
     }
 }
 
@@ -99,19 +96,19 @@ impl Fine<'_> {
 
     /// Change of the specific force at a sample, m/s³; zero at the ends. Saturated neighbours are at their limit.
     pub fn jerk(&self, k: usize) -> Vector3<f64> {
-        if k == 0 || k + 1 >= self.times_s.len() {
+        if k == 0 || k + 1 >= self.times.len() {
             return Vector3::zeros();
         }
         let change = self.value(k + 1) - self.value(k - 1);
-        let jerk = change / (self.times_s[k + 1] - self.times_s[k - 1]);
+        let jerk = change / self.times[k + 1].since_s(self.times[k - 1]);
         jerk.map(|axis| if axis.is_finite() { axis } else { 0.0 })
     }
 
     /// Fits the model and the clock of `coarse`; `None` with too few samples in common.
-    pub fn fit(&self, coarse: &Series, mut noise: [f64; 3]) -> Option<Fit> {
-        let (first, last) = (*self.times_s.first()?, *self.times_s.last()?);
+    pub fn fit(&self, coarse: &Series<Vector3<f64>>, mut noise: [f64; 3]) -> Option<Fit> {
+        let (first, last) = (*self.times.first()?, *self.times.last()?);
         let mut clock = Clock {
-            middle_s: 0.5 * (first + last),
+            middle: first.after_s(0.5 * last.since_s(first)),
             delay_s: self.search(coarse),
             ..Clock::default()
         };
@@ -175,12 +172,12 @@ impl Fine<'_> {
         misfit: f64,
         pairs: impl Iterator<Item = (&'p Pair, (Vector3<f64>, Vector3<f64>))>,
     ) -> Option<f64> {
-        let half_s = (clock.middle_s - self.times_s.first()?).max(1e-3);
+        let half_s = clock.middle.since_s(*self.times.first()?).max(1e-3);
         let [p, q] = [DELAY_S, DRIFT * half_s].map(|sd| 1.0 / (sd * sd));
         let mut normal = Matrix2::new(p, 0.0, 0.0, q);
         let mut right = Vector2::new(p * (start_s - clock.delay_s), -q * clock.drift * half_s);
         for (pair, (slope, left)) in pairs {
-            let row = Vector2::new(1.0, (self.times_s[pair.k] - clock.middle_s) / half_s);
+            let row = Vector2::new(1.0, self.times[pair.k].since_s(clock.middle) / half_s);
             normal += row * row.transpose() * (slope.norm_squared() / pair.variance);
             right -= row * (slope.dot(&left) / pair.variance);
         }
@@ -202,44 +199,30 @@ impl Fine<'_> {
         quartile(pairs.chunks_exact(WINDOW).map(window)) - self.noise[axis]
     }
 
-    fn pairs(&self, coarse: &Series, noise: &[f64; 3]) -> Vec<Pair> {
+    fn pairs(&self, coarse: &Series<Vector3<f64>>, noise: &[f64; 3]) -> Vec<Pair> {
         let both = (0..3).map(|axis| self.noise[axis] + noise[axis]);
         let noise = both.sum::<f64>() / 3.0;
-        let sampled = coarse.sampled(self.times_s).enumerate();
-        let pair = |(k, (value, doubt, limited)): (usize, ([f64; 3], f64, bool))| {
-            let usable = !limited && value.iter().all(|axis| axis.is_finite());
+        let sampled = coarse.on(self.times.iter().copied(), Interp::Cubic).enumerate();
+        let pairs = sampled.filter_map(|(k, at)| {
+            let at = at.filter(|at| !at.flags.is_saturated())?;
             Some(Pair {
                 k,
-                fine: self.clean(k).filter(|_| usable)?,
-                coarse: value.into(),
-                variance: noise + doubt * doubt + (UNRESOLVED * self.bend(k)).powi(2),
+                fine: self.clean(k)?,
+                coarse: at.value,
+                variance: noise + at.error * at.error + (UNRESOLVED * self.bend(k)).powi(2),
             })
-        };
-        sampled.filter_map(pair).collect()
+        });
+        pairs.collect()
     }
 
-    /// The delay with the largest correlation of both magnitudes, s; 0 where they are aligned, or do not correlate.
-    fn search(&self, coarse: &Series) -> f64 {
-        let stride = (self.times_s.len() / SEARCH_ROWS).max(1);
-        let rows: Vec<usize> = (1..self.times_s.len()).step_by(stride).collect();
-        let rows: Vec<(f64, f64)> = (rows.into_iter())
-            .filter_map(|k| Some((self.times_s[k], self.clean(k)?.norm())))
-            .collect();
-        let score = |lag_s: f64| {
-            let times: Vec<f64> = rows.iter().map(|(time, _)| time + lag_s).collect();
-            let pairs = rows.iter().zip(coarse.sampled(&times));
-            let pairs = pairs.filter(|(_, (.., limited))| !limited);
-            let pairs = pairs.map(|((_, fine), (value, ..))| (*fine, norm(value)));
-            correlation(pairs, FEWEST).unwrap_or(0.0)
-        };
-        if score(0.0) > ALIGNED {
-            return 0.0;
-        }
-        let steps = (SEARCH_S / SEARCH_STEP_S) as i32;
-        let lags = (-steps..=steps).map(|step| f64::from(step) * SEARCH_STEP_S);
-        let best = lags.map(|lag| (score(lag), lag));
-        let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
-        best.filter(|(score, _)| *score > 0.5).map_or(0.0, |(_, lag)| lag)
+    /// The delay with the largest correlation of both magnitudes, s; 0 where they do not correlate.
+    fn search(&self, coarse: &Series<Vector3<f64>>) -> f64 {
+        let rows = (1..self.times.len()).filter_map(|k| Some((self.times[k], self.clean(k)?)));
+        let fine = Series::of(rows.map(|(time, force)| (time, force.norm())));
+        let coarse = coarse.map(Vector3::norm);
+        let overlap_s = FEWEST as f64 * fine.period_s().max(coarse.period_s());
+        let found = lag(&fine, &coarse, &Search { around_s: 0.0, reach_s: SEARCH_S, overlap_s });
+        found.filter(|lag| lag.correlation > CORRELATION).map_or(0.0, |lag| -lag.offset_s)
     }
 }
 
@@ -262,10 +245,10 @@ pub(super) fn value(reading: Reading) -> f64 {
 
 /// Variance of the noise of each axis, m²/s⁴: by second differences in the quietest quarter of the windows, and at least that
 /// of the step of the output.
-pub(super) fn noise(values: &[[f64; 3]], step_mps2: f64) -> [f64; 3] {
+pub(super) fn noise(values: &[Vector3<f64>], step_mps2: f64) -> [f64; 3] {
     std::array::from_fn(|axis| {
-        let window = |window: &[[f64; 3]]| {
-            let bend = |v: &[[f64; 3]]| v[0][axis] - 2.0 * v[1][axis] + v[2][axis];
+        let window = |window: &[Vector3<f64>]| {
+            let bend = |v: &[Vector3<f64>]| v[0][axis] - 2.0 * v[1][axis] + v[2][axis];
             let squares = window.windows(3).map(|v| bend(v).powi(2) / 6.0);
             squares.sum::<f64>() / (WINDOW - 2) as f64
         };

@@ -1,11 +1,14 @@
 //! Specific force as the sum of linear acceleration and gravity that a phone reports apart.
 
+use nalgebra::Vector3;
+
 use super::{Quantity, Sink, TrackId, TrackInfo, Unit};
+use crate::series::{Interp, Ns, Series};
 use crate::{Code, Problem};
 
-/// Longest time between two samples of gravity between which it is interpolated, ns. Chosen: some periods of the slowest
+/// Longest time between two samples of gravity between which it is interpolated, s. Chosen: some periods of the slowest
 /// setting of phones.
-const MAX_STEP_NS: i64 = 500_000_000;
+const MAX_STEP_S: f64 = 0.5;
 
 /// Rows of a track.
 struct Kept {
@@ -73,15 +76,15 @@ impl Gravity {
 fn add(linear: &Kept, gravity: &Kept, sink: &mut dyn Sink) {
     let name = format!("{} + {}", linear.info.name, gravity.info.name);
     let track = sink.track(TrackInfo::new(name, Quantity::SpecificForce, Unit::Si));
-    let (mut after, mut added) = (0, 0);
+    let rows = gravity.rows.iter().map(|(time, value)| (Ns(*time), Vector3::from(*value)));
+    let gravity_at = Series::of(rows).with_gap(MAX_STEP_S);
+    let mut added = 0;
     for (time, acceleration) in &linear.rows {
-        while gravity.rows.get(after).is_some_and(|(t, _)| t < time) {
-            after += 1;
-        }
-        let gravity = at(&gravity.rows, after, *time);
+        let gravity = gravity_at.at(Ns(*time), Interp::Linear);
         added += usize::from(gravity.is_some());
-        let gravity = gravity.unwrap_or([f64::NAN; 3]);
-        sink.row(track, *time, &[0, 1, 2].map(|k| acceleration[k] + gravity[k]));
+        let sum = gravity
+            .map_or([f64::NAN; 3], |gravity| (Vector3::from(*acceleration) + gravity.value).into());
+        sink.row(track, *time, &sum);
     }
     let text = format!(
         "`{}` excludes gravity; that of `{}` was added to {added} of {} samples",
@@ -91,16 +94,4 @@ fn add(linear: &Kept, gravity: &Kept, sink: &mut dyn Sink) {
     );
     let remedy = "gravity is an estimate of the phone: an acceleration with gravity is better";
     sink.finding(Code::GravityAdded.note(text).remedy(remedy));
-}
-
-/// Gravity at a time, of which `after` is the first row not before it.
-fn at(rows: &[(i64, [f64; 3])], after: usize, time: i64) -> Option<[f64; 3]> {
-    let (t1, v1) = *rows.get(after)?;
-    if t1 == time {
-        return Some(v1);
-    }
-    let (t0, v0) = *rows.get(after.checked_sub(1)?)?;
-    let step = t1.checked_sub(t0).filter(|step| (1..=MAX_STEP_NS).contains(step))?;
-    let fraction = time.checked_sub(t0)? as f64 / step as f64;
-    Some([0, 1, 2].map(|k| v0[k] + fraction * (v1[k] - v0[k])))
 }

@@ -3,7 +3,8 @@
 use nalgebra::Rotation3;
 
 use super::engine::{self, Model};
-use super::pair::{LEAST_OVERLAP_S, Unit, lag, steps};
+use super::pair::{LEAST_OVERLAP_S, Unit, steps};
+use crate::lag::{Search, lag};
 use crate::{Code, Problem, Result};
 
 /// Offsets that are tried on each side of the best one, and their distance, s.
@@ -41,21 +42,23 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Problem>)> {
     let [[a0, a1], [b0, b1]] = [units[0].span_s(), units[1].span_s()];
     let overlap_s = a1.min(b1) - a0.max(b0);
     let as_recorded = Clock { offset_s: 0.0, sd_s: COMMON_SD_S, measured_s: None };
-    let lag = lag(units, NEAR_S).filter(|lag| lag.best >= CORRELATION);
-    let lag = lag.filter(|lag| lag.offset_s.abs() > NEAR_S);
+    let shorter_s = (a1 - a0).min(b1 - b0);
+    let overlap = LEAST_OVERLAP_S.max(0.5 * shorter_s);
+    let search = Search { around_s: 0.0, reach_s: f64::INFINITY, overlap_s: overlap };
+    let lag = lag(&units[0].magnitudes(), &units[1].magnitudes(), &search);
+    let lag = lag.filter(|lag| lag.correlation >= CORRELATION && lag.offset_s.abs() > NEAR_S);
     let common = overlap_s >= LEAST_OVERLAP_S;
     match lag {
         Some(lag)
-            if lag.best - lag.second >= LEAD
-                && (!common || lag.best - lag.as_recorded >= LEAD_AS_RECORDED) =>
+            if lag.lead >= LEAD
+                && (!common || lag.correlation - lag.best_within(NEAR_S) >= LEAD_AS_RECORDED) =>
         {
-            let clock =
-                Clock { offset_s: lag.offset_s, sd_s: STEP_S, measured_s: Some(lag.offset_s) };
+            let offset_s = lag.offset_s;
+            let clock = Clock { offset_s, sd_s: STEP_S, measured_s: Some(offset_s) };
             let evidence = format!(
-                "the clock of the second unit is {:+.2} s behind (correlation of the angular rates {:.2}, as recorded {:.2}): corrected",
-                lag.offset_s,
-                lag.best,
-                lag.as_recorded.max(-1.0)
+                "the clock of the second unit is {offset_s:+.2} s behind (correlation of the angular rates {:.2}, as recorded {:.2}): corrected",
+                lag.correlation,
+                lag.best_within(NEAR_S).max(-1.0)
             );
             let remedy = "where the clocks are common, the joint moved too little to tell: move both bodies together once";
             Ok((clock, vec![Code::Clock.warning(evidence).remedy(remedy)]))

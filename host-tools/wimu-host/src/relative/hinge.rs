@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::engine::Pose;
-use crate::stats::median;
+use crate::stats::{cauchy_weights, median};
 
 /// Standard deviation of an axis that is given, rad: 1°, mounting by hand.
 const GIVEN_RAD: f64 = 0.0175;
@@ -16,9 +16,6 @@ const MOVES_RAD_S: f64 = 0.17;
 
 /// Rounds of weighting.
 const ROUNDS: usize = 20;
-/// Tuning constant of Cauchy's weight at 95 % efficiency, and standard deviation over median of normal magnitudes.
-const CAUCHY: f64 = 2.385;
-const NORMAL_MEDIAN: f64 = 1.4826;
 
 /// The axis of the joint in the axes of each unit.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -98,9 +95,8 @@ pub(super) fn relative(pose: &Pose) -> Vector3<f64> {
     pose.attitude * pose.rate_rad_s[1] - pose.rate_rad_s[0]
 }
 
-/// Direction of the largest second moment, and the root of the ratio of the second largest to it. Vectors far across have the
-/// weight of Cauchy's distribution: wobble and shocks are not Gaussian (P. Huber and E. Ronchetti, "Robust Statistics", 2nd
-/// ed. 2009). `None` of none.
+/// Direction of the largest second moment, and the root of the ratio of the second largest to it. Vectors far across have little
+/// weight: wobble and shocks are not Gaussian. `None` of none.
 fn principal(vectors: impl Iterator<Item = Vector3<f64>>) -> Option<(Vector3<f64>, f64)> {
     let vectors: Vec<Vector3<f64>> = vectors.collect();
     let mut weights = vec![1.0; vectors.len()];
@@ -117,8 +113,7 @@ fn principal(vectors: impl Iterator<Item = Vector3<f64>>) -> Option<(Vector3<f64
         }
         let direction = eigen.eigenvectors.column(order[0]).into_owned();
         let across: Vec<f64> = vectors.iter().map(|v| v.cross(&direction).norm()).collect();
-        let scale = CAUCHY * NORMAL_MEDIAN * median(across.iter().copied())?;
-        weights = across.iter().map(|a| 1.0 / (1.0 + (a / scale.max(1e-9)).powi(2))).collect();
+        weights = cauchy_weights(&across);
         found = Some((direction, (next.max(0.0) / largest).sqrt()));
     }
     found

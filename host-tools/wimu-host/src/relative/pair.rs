@@ -1,16 +1,16 @@
 //! Samples of two units on one clock: means over common steps.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 
-use crate::lag::scores;
 use crate::motion::{MotionRecording, UnitSample, gap_s, median_step_s};
+use crate::series::{Flags, Interp, Ns, Series};
 
 /// Shortest common step, s: joints of machines and limbs move below 20 Hz.
 const LEAST_STEP_S: f64 = 0.005;
 /// Interval at which readings of the magnetometers are used, and their largest age, s.
 const FIELD_S: f64 = 0.1;
-/// Points of the search over all lags.
-const COARSE_POINTS: usize = 4000;
+/// Interval over which the angular rate is averaged for the search of the clock offset, s.
+const RATE_OVER_S: f64 = 0.02;
 /// Shortest overlap, s: the noise of a shorter one can fit anything.
 pub(super) const LEAST_OVERLAP_S: f64 = 5.0;
 
@@ -32,13 +32,11 @@ pub(super) struct Step {
 /// count for the time that they last.
 #[derive(Default)]
 pub(super) struct Unit {
-    times_s: Vec<f64>,
     /// Of force and rate up to each time.
-    integrals: Vec<[Vector3<f64>; 2]>,
+    integrals: Series<Vector6<f64>>,
     /// Force and rate of the last sample.
-    last: Option<[Vector3<f64>; 2]>,
-    fields: Vec<(f64, Vector3<f64>)>,
-    gap_s: f64,
+    last: Option<Vector6<f64>>,
+    fields: Series<Vector3<f64>>,
     step_s: f64,
 }
 
@@ -46,14 +44,14 @@ impl Unit {
     /// `None` without a gyroscope.
     pub(super) fn of(recording: &MotionRecording) -> Option<Self> {
         let mut unit = Self {
-            gap_s: gap_s(&recording.times_s),
+            integrals: Series::default().with_gap(gap_s(&recording.times_s)),
             step_s: median_step_s(&recording.times_s),
             ..Self::default()
         };
         for (&time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
             unit.push(time_s, sample);
         }
-        (unit.times_s.len() > 2).then_some(unit)
+        (unit.integrals.len() > 2).then_some(unit)
     }
 
     /// The next sample. One that is not finite, not later than the last one or without angular rate is left out.
@@ -61,69 +59,60 @@ impl Unit {
         let Some(rate_rad_s) = sample.rate_rad_s else {
             return;
         };
-        let now = [sample.force_mps2, rate_rad_s].map(Vector3::from);
-        if !now.iter().flatten().chain([&time_s]).all(|v| v.is_finite()) {
+        let now = Vector6::from_iterator(sample.force_mps2.into_iter().chain(rate_rad_s));
+        if !now.iter().chain([&time_s]).all(|v| v.is_finite()) {
             return;
         }
-        let sum = match (self.last, self.times_s.last(), self.integrals.last()) {
-            (Some(before), Some(last_s), Some(sum)) if time_s > *last_s => {
-                let half = 0.5 * (time_s - last_s);
-                [0, 1].map(|k| sum[k] + (before[k] + now[k]) * half)
-            }
-            (Some(_), ..) => return,
-            _ => [Vector3::zeros(); 2],
-        };
-        self.times_s.push(time_s);
-        self.integrals.push(sum);
+        let time = Ns::from_s(time_s);
+        let mut sum = self.integrals.v.last().copied().unwrap_or_default();
+        if let (Some(before), Some(last)) = (self.last, self.integrals.t.last()) {
+            sum += (before + now) * (0.5 * time.since_s(*last));
+        }
+        if !self.integrals.push(time, sum, Flags::NONE) {
+            return;
+        }
         if let Some(field) = sample.field_ut.map(Vector3::from)
-            && self.fields.last().is_none_or(|(_, last)| *last != field)
+            && self.fields.v.last() != Some(&field)
         {
-            self.fields.push((time_s, field));
+            self.fields.push(time, field, Flags::NONE);
         }
         self.last = Some(now);
     }
 
     /// Forgets samples before a time, s, but for the last two and the last reading of the magnetometer.
     pub(super) fn forget(&mut self, before_s: f64) {
-        let old = self.times_s.partition_point(|t| *t < before_s);
-        let old = old.min(self.times_s.len().saturating_sub(2));
-        self.times_s.drain(..old);
-        self.integrals.drain(..old);
-        let old = self.fields.partition_point(|(t, _)| *t < before_s);
-        self.fields.drain(..old.min(self.fields.len().saturating_sub(1)));
+        self.integrals.forget_before(Ns::from_s(before_s), 2);
+        self.fields.forget_before(Ns::from_s(before_s), 1);
     }
 
     pub(super) fn span_s(&self) -> [f64; 2] {
-        [self.times_s[0], self.times_s[self.times_s.len() - 1]]
+        self.integrals.span().unwrap_or_default().map(Ns::s)
     }
 
-    /// Integrals up to a time, and whether it is not in a gap.
-    fn until(&self, time_s: f64) -> ([Vector3<f64>; 2], bool) {
-        let next = self.times_s.partition_point(|t| *t < time_s);
-        let next = next.clamp(1, self.times_s.len() - 1);
-        let (from, to) = (self.times_s[next - 1], self.times_s[next]);
-        let part = ((time_s - from) / (to - from)).clamp(0.0, 1.0);
-        let [before, after] = [self.integrals[next - 1], self.integrals[next]];
-        let sum = [0, 1].map(|k| before[k] + (after[k] - before[k]) * part);
-        (sum, to - from <= self.gap_s)
+    /// Integrals up to a time, or to the first or last one; `None` in a gap.
+    fn until(&self, time_s: f64) -> Option<Vector6<f64>> {
+        let [first, last] = self.integrals.span()?;
+        let time = Ns::from_s(time_s).clamp(first, last);
+        Some(self.integrals.at(time, Interp::Linear)?.value)
     }
 
     /// The last reading of the magnetometer.
     fn field(&self, time_s: f64) -> Option<Vector3<f64>> {
-        let next = self.fields.partition_point(|(t, _)| *t <= time_s);
-        let (read_s, field) = self.fields[..next].last()?;
-        (time_s - read_s <= FIELD_S).then_some(*field)
+        let time = Ns::from_s(time_s);
+        let row = self.fields.latest(time)?;
+        (time.since_s(self.fields.t[row]) <= FIELD_S).then(|| self.fields.v[row])
     }
 
-    /// Magnitude of the angular rate, which does not depend on the mounting, on a grid; less its mean.
-    fn magnitudes(&self, step_s: f64) -> Vec<f64> {
+    /// Magnitude of the angular rate, which does not depend on the mounting.
+    pub(super) fn magnitudes(&self) -> Series<f64> {
         let [start_s, end_s] = self.span_s();
-        let count = ((end_s - start_s) / step_s) as usize;
-        let sums = (0..=count).map(|k| self.until(start_s + k as f64 * step_s).0[1]);
-        let sums: Vec<Vector3<f64>> = sums.collect();
-        let values: Vec<f64> = sums.windows(2).map(|w| (w[1] - w[0]).norm() / step_s).collect();
-        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        values.into_iter().map(|value| value - mean).collect()
+        let count = ((end_s - start_s) / RATE_OVER_S) as usize;
+        let rate = |k: usize| {
+            let time_s = start_s + k as f64 * RATE_OVER_S;
+            let change = self.until(time_s + RATE_OVER_S)? - self.until(time_s)?;
+            Some((Ns::from_s(time_s), change.fixed_rows::<3>(3).norm() / RATE_OVER_S))
+        };
+        Series::of((0..count).filter_map(rate))
     }
 }
 
@@ -134,13 +123,10 @@ pub(super) struct Steps {
     start_s: f64,
     step_s: f64,
     count: u32,
-    /// Integrals of both units up to the last step, and whether they are not in a gap.
-    before: [Until; 2],
+    /// Integrals of both units up to the last step; none in a gap.
+    before: [Option<Vector6<f64>>; 2],
     field_s: f64,
 }
-
-/// Integrals of force and rate, and whether they are not in a gap.
-type Until = ([Vector3<f64>; 2], bool);
 
 impl Steps {
     /// From the first time that both have in common.
@@ -171,7 +157,11 @@ impl Steps {
         self.count += 1;
         let now = both(units, time_s, offset_s);
         let before = std::mem::replace(&mut self.before, now);
-        let mean = |what: usize| [0, 1].map(|k| (now[k].0[what] - before[k].0[what]) / step_s);
+        let measured = [now, before].iter().flatten().all(Option::is_some);
+        let means = [0, 1].map(|k| match (now[k], before[k]) {
+            (Some(now), Some(before)) if measured => (now - before) / step_s,
+            _ => Vector6::zeros(),
+        });
         let fields = units[0]
             .field(time_s)
             .zip(units[1].field(time_s - offset_s))
@@ -182,15 +172,15 @@ impl Steps {
         Some(Step {
             time_s,
             step_s,
-            force_mps2: mean(0),
-            rate_rad_s: mean(1),
+            force_mps2: means.map(|mean| mean.fixed_rows::<3>(0).into()),
+            rate_rad_s: means.map(|mean| mean.fixed_rows::<3>(3).into()),
             field_ut: fields.map(|(a, b)| [a, b]),
-            measured: [now, before].iter().flatten().all(|(_, measured)| *measured),
+            measured,
         })
     }
 }
 
-fn both(units: &[Unit; 2], time_s: f64, offset_s: f64) -> [Until; 2] {
+fn both(units: &[Unit; 2], time_s: f64, offset_s: f64) -> [Option<Vector6<f64>>; 2] {
     [units[0].until(time_s), units[1].until(time_s - offset_s)]
 }
 
@@ -198,37 +188,4 @@ fn both(units: &[Unit; 2], time_s: f64, offset_s: f64) -> [Until; 2] {
 pub(super) fn steps(units: &[Unit; 2], offset_s: f64) -> Vec<Step> {
     let mut steps = Steps::new(units, offset_s);
     std::iter::from_fn(|| steps.next(units)).collect()
-}
-
-/// Offset of the clocks by the correlation of the magnitudes of both angular rates, s, with its correlation; the best
-/// correlation of those within `near_s` of the clocks as they are, and the second best of the others.
-pub(super) struct Lag {
-    pub offset_s: f64,
-    pub best: f64,
-    pub as_recorded: f64,
-    pub second: f64,
-}
-
-pub(super) fn lag(units: &[Unit; 2], near_s: f64) -> Option<Lag> {
-    let spans = [0, 1].map(|k| units[k].span_s());
-    let longest = spans.iter().map(|[from, to]| to - from).fold(0.0, f64::max);
-    let step_s = (longest / COARSE_POINTS as f64).max(0.02);
-    let [a, b] = [0, 1].map(|k| units[k].magnitudes(step_s));
-    let least = (LEAST_OVERLAP_S / step_s) as usize;
-    let least = least.max(a.len().min(b.len()) / 2);
-    let apart_s = spans[0][0] - spans[1][0];
-    let scores = scores(&a, &b, least);
-    let offset = |lag: i64| apart_s + lag as f64 * step_s;
-    let (best, lag) = scores.iter().copied().max_by(|x, y| x.0.total_cmp(&y.0))?;
-    let best_of = |keep: &dyn Fn(f64) -> bool| {
-        let kept = scores.iter().filter(|(_, lag)| keep(offset(*lag)));
-        kept.map(|(score, _)| *score).fold(f64::NEG_INFINITY, f64::max)
-    };
-    let offset_s = offset(lag);
-    Some(Lag {
-        offset_s,
-        best,
-        as_recorded: best_of(&|offset: f64| offset.abs() <= near_s),
-        second: best_of(&|offset: f64| (offset - offset_s).abs() > 1.0),
-    })
 }

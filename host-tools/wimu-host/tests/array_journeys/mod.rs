@@ -7,11 +7,8 @@ use std::fmt;
 use super::common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::Problem;
-use wimu_host::array::{
-    ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions, navigated_axes,
-    preset,
-};
-use wimu_host::inertial::{Choice, Zupt, navigate_array, navigate_axes};
+use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions};
+use wimu_host::inertial::{Choice, Zupt, navigate_array};
 use wimu_host::motion::nees;
 
 const G: f64 = 9.80665;
@@ -201,8 +198,6 @@ pub enum Places {
     Octahedron(f64),
     Board,
     Four(f64),
-    /// Six single axes on a cube of this side, m.
-    Cube(f64),
 }
 
 /// What is simulated.
@@ -270,7 +265,6 @@ impl Case {
                     [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
                 all.iter().map(|p: &V| p.map(|v| v * arm)).collect()
             }
-            Places::Cube(side) => return preset(&format!("cube:{side}m")).unwrap().unwrap(),
         };
         ArrayGeometry::at(&places)
     }
@@ -325,20 +319,14 @@ impl Case {
         let geometry = self.geometry();
         let journey = self.journey(random);
         struct Sensor {
-            /// Of a single axis.
-            direction: Option<V>,
             place: V,
             bias: V,
             scale: Rotation,
             skew: f64,
         }
-        let single = geometry.axes.iter();
-        let single = single.map(|axis| (axis.place_m, Some(axis.direction)));
-        let triads = geometry.sensors.iter().map(|s| (s.places_m[0], None));
-        let sensors: Vec<Sensor> = triads
-            .chain(single)
-            .map(|(place, direction)| Sensor {
-                direction,
+        let places = geometry.sensors.iter().map(|s| s.places_m[0]);
+        let sensors: Vec<Sensor> = places
+            .map(|place| Sensor {
                 place: add(place, random.normals(self.place), 1.0),
                 bias: random.normals(self.bias),
                 scale: [0; 3].map(|_| random.normals(self.scale)),
@@ -365,10 +353,7 @@ impl Case {
                 let turned = cross(motion.rate, cross(motion.rate, sensor.place));
                 let force = add(add(force, cross(motion.turning, sensor.place), 1.0), turned, 1.0);
                 let scaled = add(force, apply(&sensor.scale, force), 1.0);
-                let output = add(add(scaled, sensor.bias, 1.0), random.normals(self.noise), 1.0);
-                sensor.direction.map_or(output, |d| {
-                    [d.iter().zip(output).map(|(d, v)| d * v).sum(), f64::NAN, f64::NAN]
-                })
+                add(add(scaled, sensor.bias, 1.0), random.normals(self.noise), 1.0)
             });
             recording.outputs.push(row.collect());
             recording.saturated.push(0);
@@ -396,20 +381,12 @@ impl Case {
             delay_sd_s: self.skew.max(ArrayCalibration::DELAY_SD_S),
         };
         let choice = Choice { zupt: self.zupt, ..Choice::default() };
-        let (arranged, path, states) = if geometry.axes.is_empty() {
-            let arranged = recording.judged().arranged(&geometry)?;
-            let mut calibration =
-                ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
-            (calibration.place_sd_m, calibration.delay_sd_s) = (known.place_sd_m, known.delay_sd_s);
-            let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
-            let (states, _) = ArrayBody::of(&arranged, &geometry, &calibration)
-                .and_then(|body| body.navigated(G, self.zupt))?;
-            (arranged, path, states)
-        } else {
-            let path = navigate_axes(&recording, &geometry, &known, &choice)?;
-            let (states, _) = navigated_axes(&recording, &geometry, &known, self.zupt)?;
-            (recording, path, states)
-        };
+        let arranged = recording.judged().arranged(&geometry)?;
+        let mut calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE)?;
+        (calibration.place_sd_m, calibration.delay_sd_s) = (known.place_sd_m, known.delay_sd_s);
+        let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
+        let (states, _) = ArrayBody::of(&arranged, &geometry, &calibration)
+            .and_then(|body| body.navigated(G, self.zupt))?;
         let truth = arranged.true_rate_rad_s();
         let mut outcome = Outcome {
             position: path.nees.clone(),

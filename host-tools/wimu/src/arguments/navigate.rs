@@ -15,8 +15,6 @@ use super::values::{TimeSpans, from_to, numbers, positive, seconds, start_pose, 
 GEOMETRY is a file or a preset:
   FILE.csv         header `X (m),Y (m),Z (m)` (or mm), one row per triad of axes
   FILE.json        as `wimu calibrate --geometry -o` or --refine wrote it
-  FILE.json        single `axes` with `place_m`, `direction`, `column` of output
-  cube:100mm       six single axes on a cube with this side
   four:30mm        four triads at this distance from the centre
   octahedron:30mm  six triads at this distance from the centre
   board:9.5mm,2mm  eight triads; half side and half thickness of the board
@@ -33,7 +31,6 @@ Examples:
   wimu navigate raw.csv --with CAL.json
   wimu navigate board.csv --geometry positions.csv -o path.csv
   wimu navigate board.csv --geometry ARRAY.json
-  wimu navigate cube.csv --geometry cube:100mm
   wimu navigate a.mcap b.mcap c.mcap d.mcap --geometry boards.json
   wimu navigate ranges.csv --anchors anchors.csv -o path.csv
   wimu navigate ranges.csv --anchors anchors.csv --odometry wheels.csv

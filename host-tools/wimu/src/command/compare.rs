@@ -159,14 +159,11 @@ fn axes_text(axes: &[Axis; 3]) -> String {
                 signed_with_sd(axis.offset_mps2, axis.offset_sd_mps2)
             ),
         };
-        let lsb =
-            |lsb: Option<u32>| lsb.map_or(String::new(), |lsb| format!(" (at most {lsb} LSB)"));
         text += &format!(
-            "; difference {:.2} mm/s² rms{}, residual {:.2} mm/s² rms{}",
+            "; difference {:.2} mm/s² rms{}, residual {:.2} mm/s² rms",
             axis.rms_before_mps2 * 1e3,
-            lsb(axis.max_before_lsb),
-            axis.rms_after_mps2 * 1e3,
-            lsb(axis.max_after_lsb)
+            axis.max_before_lsb.map_or(String::new(), |lsb| format!(" (at most {lsb} LSB)")),
+            axis.rms_after_mps2 * 1e3
         );
     }
     text

@@ -1,12 +1,8 @@
 //! Rotation between the axes of two devices.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Serialize;
 use wimu_calib::{Line, Transfer};
-
-use crate::stats::norm;
-
-type Matrix = [[f64; 3]; 3];
 
 /// Step of numerical derivatives.
 const SMALL: f64 = 1e-6;
@@ -26,27 +22,24 @@ pub struct Turn {
 impl Turn {
     /// `None` where an axis did not move enough to observe its sensitivity to all others.
     pub(super) fn of(found: &Transfer) -> Option<Self> {
-        let mut rows = [[0.0; 3]; 3];
-        let mut variance = 0.0;
-        for (row, axis) in rows.iter_mut().zip(&found.axes) {
-            let line = axis.line.filter(|line| line.fitted == [true; 3])?;
-            *row = line.row;
-        }
+        let lines = found.axes.each_ref().map(|axis| axis.line.filter(|l| l.fitted == [true; 3]));
+        let lines = [lines[0]?, lines[1]?, lines[2]?];
+        let rows = Matrix3::from_fn(|axis, column| lines[axis].row[column]);
         let vector = rotation_vector(&rows)?;
-        let angle = norm(vector);
-        for (index, axis) in found.axes.iter().enumerate() {
-            let mut gradient = [0.0; 3];
-            for (column, gradient) in gradient.iter_mut().enumerate() {
+        let mut variance = 0.0;
+        for (axis, line) in lines.iter().enumerate() {
+            let mut gradient = Vector3::zeros();
+            for column in 0..3 {
                 let mut moved = rows;
-                moved[index][column] += SMALL;
-                *gradient = (norm(rotation_vector(&moved)?) - angle) / SMALL;
+                moved[(axis, column)] += SMALL;
+                gradient[column] = (rotation_vector(&moved)?.norm() - vector.norm()) / SMALL;
             }
-            variance += axis.line.map_or(0.0, |line| of_row(&line, gradient));
+            variance += of_row(line, &gradient);
         }
         Some(Self {
-            angle_deg: angle.to_degrees(),
+            angle_deg: vector.norm().to_degrees(),
             angle_sd_deg: variance.max(0.0).sqrt().to_degrees(),
-            vector_deg: vector.map(f64::to_degrees),
+            vector_deg: vector.map(f64::to_degrees).into(),
         })
     }
 }
@@ -54,28 +47,27 @@ impl Turn {
 /// Sensitivity of the other's axis along itself, whichever direction it has, and its standard deviation:
 /// the norm of its sensitivities to the reference's axes.
 pub(super) fn scale_along_itself(line: &Line) -> [f64; 2] {
-    let scale = norm(line.row);
-    let variance = of_row(line, line.row.map(|seen| seen / scale));
+    let row = Vector3::from(line.row);
+    let scale = row.norm();
+    let variance = of_row(line, &(row / scale));
     // Noise across it increases the norm.
     let longer = (1..4).map(|k| line.covariance[k][k]).sum::<f64>() / (2.0 * scale);
     [scale, variance.max(0.0).sqrt().hypot(longer)]
 }
 
 /// Variance of a quantity with this gradient by the elements of the row.
-fn of_row(line: &Line, gradient: [f64; 3]) -> f64 {
-    let terms = (0..9).map(|k| (k / 3, k % 3));
-    terms.map(|(i, j)| gradient[i] * line.covariance[1 + i][1 + j] * gradient[j]).sum()
+fn of_row(line: &Line, gradient: &Vector3<f64>) -> f64 {
+    gradient.dot(&(Matrix3::from_fn(|i, j| line.covariance[1 + i][1 + j]) * gradient))
 }
 
 /// Vector of the rotation nearest to the rows, each normalised; `None` where they are not a rotation.
-fn rotation_vector(rows: &Matrix) -> Option<[f64; 3]> {
-    let unit = Matrix3::from_fn(|i, j| rows[i][j] / norm(rows[i]));
+fn rotation_vector(rows: &Matrix3<f64>) -> Option<Vector3<f64>> {
+    let unit = Matrix3::from_fn(|i, j| rows[(i, j)] / rows.row(i).norm());
     let volume = unit.determinant();
     if volume.is_nan() || volume < 0.1 {
         return None;
     }
     // The orthogonal factor of the polar decomposition.
     let svd = unit.svd(true, true);
-    let rotation = Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?);
-    Some(UnitQuaternion::from_rotation_matrix(&rotation).scaled_axis().into())
+    Some(Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?).scaled_axis())
 }

@@ -2,9 +2,7 @@
 
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
-use super::names::split_unit;
 use crate::recording::Quantity;
-use crate::{Code, Result};
 
 /// What one of a column's unit is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,23 +99,4 @@ pub fn scale(quantity: Quantity, unit: &str) -> Option<Scale> {
 /// Nanoseconds of a unit of time.
 pub fn time(unit: &str) -> Option<i64> {
     spelled(TIMES, &canonical(unit))
-}
-
-/// m/s² of the unit of a column of accelerations, `None` for counts, if it has this name; the units of both are left out in
-/// the comparison.
-///
-/// # Errors
-/// `csv_unknown_unit`.
-pub(crate) fn acceleration_unit(column: &str, name: &str) -> Result<Option<Option<f64>>> {
-    let (bare, unit) = split_unit(column);
-    if !bare.eq_ignore_ascii_case(split_unit(name).0) {
-        return Ok(None);
-    }
-    match unit.and_then(|unit| scale(Quantity::SpecificForce, unit)) {
-        Some(Scale::Si(mps2)) => Ok(Some(Some(mps2))),
-        Some(Scale::Counts) => Ok(Some(None)),
-        _ => Err(Code::CsvUnknownUnit
-            .error("the unit is missing or unknown", "write one of LSB, g, mg, m/s² in parentheses")
-            .at(column)),
-    }
 }

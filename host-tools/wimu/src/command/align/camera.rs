@@ -20,7 +20,7 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
     }
     let options = HandEyeOptions::default();
     let streams = [PoseStream::read(camera)?, body(arguments, file)?];
-    if streams[0].poses() == streams[1].poses() {
+    if streams[0].poses().eq(streams[1].poses()) {
         let remedy = "name the poses of the camera with --camera, those of the body first";
         return Err(usage("both files have the same poses", remedy));
     }

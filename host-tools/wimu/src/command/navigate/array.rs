@@ -4,13 +4,13 @@ use std::path::Path;
 
 use wimu_calib::Gravity;
 use wimu_host::Result;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording, refine};
-use wimu_host::inertial::{Choice, InertialPath, navigate_array, navigate_axes};
+use wimu_host::array::{ArrayCalibration, ArrayGeometry, refine};
+use wimu_host::inertial::{Choice, InertialPath, navigate_array};
 
 use crate::arguments::Navigate;
 use crate::command::array::{self, Refined};
 use crate::command::not_over_input;
-use crate::output::{Output, usage};
+use crate::output::Output;
 
 /// Navigates an array.
 pub fn path(
@@ -31,20 +31,6 @@ pub fn path(
         geometry = geometry.with_models(&arguments.with)?;
     }
     let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
-    if !geometry.axes.is_empty() {
-        if arguments.refine.is_some() || !arguments.boards.is_empty() {
-            return Err(usage(
-                "a geometry of single axes takes one CSV file and no --refine",
-                "leave out --refine and further boards",
-            ));
-        }
-        let recording = ArrayRecording::axes_from_csv(
-            &arguments.input,
-            &geometry,
-            arguments.sensitivity.unwrap_or(array::SENSITIVITY_LSB_PER_G),
-        )?;
-        return Ok((navigate_axes(&recording, &geometry, &options, choice)?, None));
-    }
     let read = array::read(
         &arguments.input,
         &arguments.boards,

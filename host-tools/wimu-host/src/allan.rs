@@ -4,8 +4,6 @@ mod file;
 mod page;
 mod sensor;
 
-use std::fmt;
-
 pub use file::{noise, noise_of};
 pub use sensor::{GyroscopeAxis, SensorNoise};
 
@@ -317,22 +315,5 @@ impl NoiseReport {
     /// The sensors that were measured.
     pub fn measured(&self) -> impl Iterator<Item = &SensorNoise> {
         self.sensors.iter().flatten()
-    }
-}
-
-impl fmt::Display for NoiseReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            out,
-            "{}: {} samples, {:.0} s at {:.2} Hz",
-            self.source,
-            self.samples,
-            self.samples as f64 / self.rate_hz,
-            self.rate_hz
-        )?;
-        if self.measured().next().is_none() {
-            return write!(out, "\n{}", self.outcome);
-        }
-        self.measured().try_for_each(|sensor| write!(out, "{sensor}"))
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use pyo3::prelude::*;
 use wimu_calib::{AxisNoise, Measured};
 use wimu_host::allan::{NoiseReport, SensorNoise, noise_of};
+use wimu_host::html::ToDocument;
 use wimu_model::Sensitivity;
 
 use crate::arrays::{Array1, Array2, column, plain, table};
@@ -113,7 +114,7 @@ impl Noise {
     }
 
     fn __str__(&self) -> String {
-        self.report.to_string()
+        self.report.document().to_string()
     }
 }
 

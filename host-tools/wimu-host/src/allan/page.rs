@@ -1,90 +1,37 @@
-//! The noise of a sensor as a page: Allan deviation with its slopes.
+//! The noise of a sensor as a document: noise terms of each axis, and the Allan deviation with its slopes.
 
 use std::f64::consts::{LN_2, PI};
 
 use wimu_calib::{AxisNoise, Measured};
 
-use super::sensor::{SensorNoise, UG};
+use super::sensor::{Kind, SensorNoise};
 use super::{Figure, NoiseReport};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::html::Report;
+use crate::html::{Report, ToDocument};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
-impl NoiseReport {
-    /// The report as a page. `datasheet_ug_rthz` is the noise density of the datasheet, µg/√Hz, if it is to be compared.
-    pub fn page(&self, datasheet_ug_rthz: Option<f64>) -> Report {
-        let mut page = Report::new(format!("Noise of {}", self.source));
+impl ToDocument for NoiseReport {
+    fn document(&self) -> Report {
+        let mut document = Report::new(format!("Noise of {}", self.source));
+        let seconds = self.samples as f64 / self.rate_hz;
+        let [seconds, rate] = [seconds, self.rate_hz].map(|value| significant(value, 4));
+        document.result(&format!("{}: {seconds} s at rest, {rate} Hz", self.source));
         if self.measured().next().is_none() {
-            page.result(&self.outcome.to_string());
+            document.result(&self.outcome.to_string());
         }
         for sensor in self.measured() {
-            let stated = datasheet_ug_rthz.filter(|_| sensor.kind.si == "m/s²");
-            self.key_figures(sensor, &mut page, stated);
+            sensor.terms(&mut document);
+            document.chart(&sensor.chart());
+            sensor.curve(&mut document);
         }
-        page.printed(&self.to_string()).findings(&self.outcome.findings);
-        for sensor in self.measured() {
-            let mut chart = sensor.chart();
-            if let Some(ug_rthz) = datasheet_ug_rthz.filter(|_| sensor.kind.si == "m/s²") {
-                let density = ug_rthz / UG;
-                let white = sensor.ends_s().map(|tau_s| (tau_s, density / (2.0 * tau_s).sqrt()));
-                let name = format!("datasheet, {ug_rthz} µg/√Hz");
-                chart.series.push(Series::line(&name, white.into()));
-            }
-            page.chart(&chart);
-            let unit = &sensor.kind.deviation;
-            let rows: Vec<Vec<String>> = sensor
-                .points
-                .iter()
-                .map(|point| {
-                    let deviations = point.deviation_m_s2.map(|d| significant(d * unit.per_si, 4));
-                    let share = format!("{:.1}", point.relative_sd * 100.0);
-                    let [x, y, z] = deviations;
-                    vec![format!("{:.3}", point.tau_s), x, y, z, share]
-                })
-                .collect();
-            let axes = AXES.map(|axis| format!("{axis}, {}", unit.name));
-            let head = ["τ, s", &axes[0], &axes[1], &axes[2], "± %"];
-            page.table(&format!("Allan deviation of the {}", sensor.kind.name), &head, &rows);
-        }
-        page
+        document.findings(&self.outcome.findings);
+        document
     }
+}
 
-    fn key_figures(&self, sensor: &SensorNoise, page: &mut Report, stated: Option<f64>) {
-        let each = |of: &dyn Fn(&AxisNoise) -> Option<f64>| {
-            let one = |axis| of(axis).map_or("–".to_owned(), |value| significant(value, 3));
-            sensor.axes.each_ref().map(one).join(", ")
-        };
-        let kind = sensor.kind;
-        let density = |axis: &AxisNoise| axis.noise_density().value * kind.density.per_si;
-        let mut result = format!(
-            "{}: {} s at rest, {} Hz: noise density {} {} (X, Y, Z).",
-            kind.name,
-            significant(self.samples as f64 / self.rate_hz, 3),
-            significant(self.rate_hz, 3),
-            each(&|axis| Some(density(axis))),
-            kind.density.name
-        );
-        if let Some(stated) = stated {
-            let ratio = each(&|axis| Some(density(axis) / stated));
-            result += &format!(" That is {ratio} times the datasheet's {stated} µg/√Hz.");
-        }
-        page.result(&result);
-        let (white_name, white) = &kind.white;
-        let walk = |axis: &AxisNoise| Some(axis.velocity_random_walk.value * white.per_si);
-        page.key(&format!("noise density, {}", kind.density.name), &each(&|a| Some(density(a))))
-            .key(&format!("{white_name}, {}", white.name), &each(&walk));
-        let (per_si, unit) = (kind.bias.per_si, kind.bias.name);
-        if sensor.axes.iter().any(|axis| axis.bias_instability_mps2.is_some()) {
-            let bias = |axis: &AxisNoise| Some(axis.bias_instability_mps2?.value * per_si);
-            page.key(&format!("bias instability, {unit}"), &each(&bias));
-        } else {
-            let floor = each(&|axis| Some(axis.floor_mps2 * per_si));
-            page.key(&format!("smallest deviation, {unit}"), &floor);
-        }
-    }
-
+impl NoiseReport {
     /// The Allan deviation of the first sensor with its noise terms.
     pub fn chart(&self) -> Option<Chart> {
         self.measured().next().map(SensorNoise::chart)
@@ -92,6 +39,52 @@ impl NoiseReport {
 }
 
 impl SensorNoise {
+    /// The noise terms of each axis.
+    fn terms(&self, document: &mut Report) {
+        let Kind { density, white, walk, bias, drift, .. } = self.kind;
+        let columns = [
+            ("noise density", density),
+            (white.0, &white.1),
+            ("bias instability", bias),
+            (walk.0, &walk.1),
+            ("drift", drift),
+        ];
+        let head = columns.map(|(name, unit)| format!("{name}, {}", unit.name));
+        let mut head: Vec<&str> = head.iter().map(String::as_str).collect();
+        head.insert(0, self.kind.name);
+        let rows = self.axes.iter().zip(AXES).map(|(axis, name)| {
+            let floor =
+                format!("σ falls to {} at {:.0} s", bias.number(axis.floor_mps2), axis.floor_tau_s);
+            let cell = |found: Option<Measured>, column: usize| {
+                found.map_or("–".to_owned(), |found| columns[column].1.text(found))
+            };
+            vec![
+                name.to_owned(),
+                cell(Some(axis.noise_density()), 0),
+                cell(Some(axis.velocity_random_walk), 1),
+                axis.bias_instability_mps2.map_or(floor, |found| bias.text(found)),
+                cell(axis.acceleration_random_walk, 3),
+                cell(axis.ramp_mps3, 4),
+            ]
+        });
+        let name = format!("Noise of the {} (density one-sided)", self.kind.name);
+        document.table(&name, &head, &Vec::from_iter(rows));
+    }
+
+    /// The Allan deviation as a table.
+    fn curve(&self, document: &mut Report) {
+        let unit = &self.kind.deviation;
+        let rows = self.points.iter().map(|point| {
+            let [x, y, z] = point.deviation_m_s2.map(|d| significant(d * unit.per_si, 4));
+            let share = format!("{:.1}", point.relative_sd * 100.0);
+            vec![format!("{:.3}", point.tau_s), x, y, z, share]
+        });
+        let axes = AXES.map(|axis| format!("{axis}, {}", unit.name));
+        let head = ["τ, s", &axes[0], &axes[1], &axes[2], "± %"];
+        let name = format!("Allan deviation of the {}", self.kind.name);
+        document.table(&name, &head, &Vec::from_iter(rows));
+    }
+
     /// The shortest and the longest averaging time, s.
     fn ends_s(&self) -> [f64; 2] {
         let ends = [self.points.first(), self.points.last()];
@@ -125,7 +118,6 @@ impl SensorNoise {
         }
     }
 }
-
 /// A term of the noise at an averaging time.
 type Term<'a> = &'a dyn Fn(&AxisNoise, f64) -> Option<f64>;
 

@@ -1,7 +1,5 @@
 //! The noise of a sensor: an accelerometer or a gyroscope, in the units in which each is shown.
 
-use std::fmt;
-
 use serde::Serialize;
 use wimu_calib::{AllanVariance, AxisNoise, Measured, Refusal};
 use wimu_model::STANDARD_GRAVITY_MPS2;
@@ -22,9 +20,14 @@ impl Unit {
         Self { name, per_si, decimals }
     }
 
-    fn text(&self, Measured { value, sd }: Measured) -> String {
-        let (per_si, decimals) = (self.per_si, self.decimals);
-        format!("{:.decimals$} ± {:.decimals$} {}", value * per_si, sd * per_si, self.name)
+    /// An SI value in this unit, without its name.
+    pub fn number(&self, value: f64) -> String {
+        format!("{:.1$}", value * self.per_si, self.decimals)
+    }
+
+    /// The same with its standard deviation.
+    pub fn text(&self, Measured { value, sd }: Measured) -> String {
+        format!("{} ± {}", self.number(value), self.number(sd))
     }
 }
 
@@ -38,14 +41,14 @@ pub(super) struct Kind {
     pub density: Unit,
     /// N, and K, with their names.
     pub white: (&'static str, Unit),
-    walk: (&'static str, Unit),
+    pub walk: (&'static str, Unit),
     pub bias: Unit,
-    drift: Unit,
+    pub drift: Unit,
     pub deviation: Unit,
 }
 
 /// µg of 1 m/s², and degrees of 1 rad.
-pub(super) const UG: f64 = 1e6 / STANDARD_GRAVITY_MPS2;
+const UG: f64 = 1e6 / STANDARD_GRAVITY_MPS2;
 const DEG: f64 = 180.0 / std::f64::consts::PI;
 
 pub(super) static ACCELEROMETER: Kind = Kind {
@@ -140,39 +143,6 @@ impl SensorNoise {
             }
         }
         findings
-    }
-}
-
-impl fmt::Display for SensorNoise {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Kind { density, white, walk, bias, drift, .. } = self.kind;
-        for (name, axis) in self.named() {
-            write!(
-                out,
-                "\n{name}: noise density (one-sided) {}, {} {}, bias instability ",
-                density.text(axis.noise_density()),
-                white.0,
-                white.1.text(axis.velocity_random_walk)
-            )?;
-            match axis.bias_instability_mps2 {
-                Some(measured) => out.write_str(&bias.text(measured))?,
-                None => write!(
-                    out,
-                    "not observed; σ falls to {:.*} {} at {:.0} s",
-                    bias.decimals,
-                    axis.floor_mps2 * bias.per_si,
-                    bias.name,
-                    axis.floor_tau_s
-                )?,
-            }
-            if let Some(measured) = axis.acceleration_random_walk {
-                write!(out, ", {} {}", walk.0, walk.1.text(measured))?;
-            }
-            if let Some(measured) = axis.ramp_mps3 {
-                write!(out, ", drift {}", drift.text(measured))?;
-            }
-        }
-        Ok(())
     }
 }
 

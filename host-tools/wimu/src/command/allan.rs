@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use wimu_host::allan::{self, NoiseMeter, NoiseReport};
+use wimu_host::html::ToDocument;
 use wimu_host::{Input, Result};
 
 use crate::arguments::Allan;
@@ -19,12 +20,13 @@ pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
         }
         Input::Link(_) => listen(arguments, output)?,
     };
-    output.print(report.to_string());
+    let document = report.document();
+    output.print(document.to_string());
     output.findings(&report.outcome.findings);
     if report.measured().next().is_some()
         && let Some(path) = &arguments.report
     {
-        report.page(None).write(path)?;
+        document.write(path)?;
     }
     output.object(&report);
     Ok(report.outcome.exit_code())

@@ -121,7 +121,7 @@ impl<'a> Correction<'a> {
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
             let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
             let finding = Code::UnitInferred.warning(text);
-            finding.remedy("check the unit, --zero-count, and that the calibration is of this sensor at this range")
+            finding.remedy("check the unit, the count at zero (--units LSB@N), and that the calibration is of this sensor at this range")
         })
     }
 

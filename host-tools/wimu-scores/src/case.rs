@@ -52,7 +52,12 @@ impl<'a> Case<'a> {
         }
         arguments.extend(self.entry.options.iter().cloned());
         for [option, file] in &self.entry.aids {
-            arguments.extend([option.clone(), self.data.join(file).display().to_string()]);
+            let file = self.data.join(file).display().to_string();
+            if option.ends_with('=') {
+                arguments.push(format!("{option}{file}"));
+            } else {
+                arguments.extend([option.clone(), file]);
+            }
         }
         let output = self.folder.join("path.csv");
         let output_name = output.display().to_string();
@@ -112,7 +117,7 @@ impl<'a> Case<'a> {
             let aid = self.entry.aids.iter().find(|aid| aid[0] == option);
             aid.map(|aid| Table::read(&self.data.join(&aid[1]))).transpose()
         };
-        let anchors = aid("--anchors")?.ok_or("no --anchors among the aids")?;
+        let anchors = aid("--setup=anchors=")?.ok_or("no anchors among the aids")?;
         ranges::read(aid("--ranges")?.as_ref().unwrap_or(recording), anchors)
     }
 }

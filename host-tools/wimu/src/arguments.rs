@@ -8,6 +8,7 @@ mod fleet;
 mod navigate;
 mod reading;
 mod relations;
+mod setup;
 mod values;
 
 pub use aids::{Aids, MotionProfile};
@@ -21,6 +22,7 @@ pub use fleet::{Fleet, Gateway};
 pub use navigate::{Navigate, Smoothing, ZeroVelocity};
 pub use reading::Reading;
 pub use relations::check;
+pub use setup::{EXAMPLE as SETUP_EXAMPLE, Setup};
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -95,6 +97,17 @@ impl Arguments {
             *input = path.display().to_string();
         }
         Ok(Some(file))
+    }
+
+    /// Reads the setup of `navigate`.
+    ///
+    /// # Errors
+    /// Those of [`Setup::read`].
+    pub fn read_setup(&mut self) -> Result<()> {
+        match &mut self.command {
+            Command::Navigate(navigate) => navigate.aids.read_setup(),
+            _ => Ok(()),
+        }
     }
 
     /// Whether a result other than JSON goes to standard output, given as `-o -`.
@@ -191,7 +204,9 @@ pub struct Demo {
 }
 
 #[derive(Args)]
-#[command(after_help = "\
+#[command(
+    after_help = "Example: wimu simulate --faults noisy --motion twelve-poses,slide; more with --help",
+    after_long_help = "\
 FAULTS is a list of presets and faults:
   none                    no faults
   bluetooth               serial adapter in range, 115200 baud
@@ -223,30 +238,47 @@ Examples:
   wimu simulate --chip lsm6dso --motion carry,hand --faults gyroscope-stops=2s@10s
   wimu simulate --faults noisy,clock=35ppm
   wimu simulate --faults loss=2%,burst=20,bits=1e-4,jitter=50ms,stall=3s@30s
-  wimu simulate --faults other-unit --faults cable:latency=2ms")]
+  wimu simulate --faults other-unit --faults cable:latency=2ms"
+)]
 pub struct Simulate {
+    /// Sensor on the board
+    ///
     /// Sensor on the board, or lsm303agr,adxl345: two accelerometers, the second of ± 16 g; either may be the first
     #[arg(long, value_enum, value_delimiter = ',', default_value = "lsm303agr")]
     pub chip: Vec<Chip>,
+    /// Motions, in order and repeated
+    ///
     /// Motions of the board, in order and repeated: rest, six-positions, twelve-poses, tilts, slide,
     /// carry, hand, impact
     #[arg(long, default_value = "twelve-poses,slide", value_name = "NAMES")]
     pub motion: String,
+    /// Replay the raw counts of this CSV file
+    ///
     /// Replay the raw counts of this CSV file instead; it starts when a host connects
     #[arg(long, value_name = "FILE.csv", conflicts_with = "motion")]
     pub replay: Option<PathBuf>,
+    /// Rows of the CSV file: "IMU=0"
+    ///
     /// Rows of the CSV file to use: those whose columns have these values, such as "IMU=0"
     #[arg(long = "where", value_name = "COLUMN=VALUE,…", requires = "replay")]
     pub filter: Option<Filter>,
+    /// Index of the accelerometer in the CSV file
+    ///
     /// Index of the accelerometer in a CSV file that has several
     #[arg(long, value_name = "INDEX", requires = "replay")]
     pub sensor: Option<u8>,
+    /// Seed of errors, noise and serial number
+    ///
     /// Seed of the sensor's errors and noise, and the board's serial number
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Keep the flash memory in this file
+    ///
     /// Keep the board's flash memory in this file [default: in memory only]
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
+    /// Erase key and settings at the start
+    ///
     /// Start with the key reset at the board: it erases key and settings
     #[arg(long)]
     pub forget_key: bool,
@@ -256,9 +288,13 @@ pub struct Simulate {
     /// Address of the wireless link
     #[arg(long, default_value = "127.0.0.1:7101", value_name = "ADDRESS")]
     pub wireless: SocketAddr,
+    /// Faults: noisy, loss=2%, clock=35ppm, …
+    ///
     /// Faults, see FAULTS below; those of a link are of the wireless one unless preceded by `cable:`
     #[arg(long, value_name = "[LINK:]FAULT=VALUE,…")]
     pub faults: Vec<String>,
+    /// Speed relative to real time
+    ///
     /// Speed of the simulated time relative to real time, at most 1000
     #[arg(long, default_value_t = 1.0, value_parser = from_to(1e-3, 1e3))]
     pub speed: f64,
@@ -389,4 +425,47 @@ pub struct Compare {
 pub enum Switch {
     On,
     Off,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use clap::CommandFactory;
+
+    use super::Arguments;
+
+    /// Names of the options of a command and of its own commands.
+    fn options(command: &clap::Command, names: &mut BTreeSet<String>) {
+        let longs = command.get_arguments().filter_map(|option| option.get_long());
+        names.extend(longs.map(str::to_owned));
+        command.get_subcommands().for_each(|inner| options(inner, names));
+    }
+
+    /// Short help of a command and of its own commands, which has to fit a screen.
+    fn fits(command: &clap::Command) {
+        let help = command.clone().term_width(80).render_help().to_string();
+        let lines = help.lines().count();
+        assert!(lines <= 40, "{}: {lines} lines\n{help}", command.get_name());
+        command.get_subcommands().for_each(fits);
+    }
+
+    #[test]
+    fn there_are_at_most_15_commands_with_150_options_and_short_help_fits_40_lines() {
+        let mut root = Arguments::command();
+        root.build();
+        let visible = root.get_subcommands().filter(|c| !c.is_hide_set() && c.get_name() != "help");
+        let (mut commands, mut sum) = (0, 0);
+        for command in visible {
+            let mut names = BTreeSet::new();
+            options(command, &mut names);
+            let everywhere = ["help", "json", "verbose", "version"];
+            names.retain(|name| !everywhere.contains(&name.as_str()));
+            commands += 1;
+            sum += names.len();
+            fits(command);
+        }
+        assert!(commands <= 15 && sum <= 150, "{commands} commands, {sum} options");
+        fits(&root);
+    }
 }

@@ -56,7 +56,9 @@ pub fn run(
     };
     let to_stdout = Arguments::writes_standard_output(&matches);
     output.begin(&command_name(&matches), arguments.json, arguments.verbose, to_stdout);
-    let done = arguments::check(&matches)
+    let done = arguments
+        .read_setup()
+        .and_then(|()| arguments::check(&matches, &arguments.command))
         .and_then(|()| {
             if arguments.json && to_stdout {
                 return Err(usage(

@@ -124,7 +124,8 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
     let rests = written(folder.path(), "rests.csv", &table(35.0, poses, "m/s²"));
     let later = written(folder.path(), "later.csv", &table(9.0, turn, "m/s²"));
     let array = folder.path().join("ARRAY.json").display().to_string();
-    let ran = wimu(&["calibrate", &rests, "--setup", &positions, "-o", &array]);
+    let ran =
+        wimu(&["calibrate", &rests, "--setup", kit::setup("geometry", &positions), "-o", &array]);
     let found = ran.succeeds();
     let mut texts = Transcript::default();
     texts.text("calibrate --setup", &ran);
@@ -139,9 +140,9 @@ fn an_array_is_calibrated_at_once_and_its_models_serve_another_recording() {
             assert!((of - bias).abs() < 0.01, "{sensor} {axis} {of} {bias}");
         }
     }
-    let ran = wimu(&["navigate", &later, "--geometry", &array]);
+    let ran = wimu(&["navigate", &later, "--setup", kit::setup("geometry", &array)]);
     let with = texts.findings("navigate, calibrated", &ran);
-    let ran = wimu(&["navigate", &later, "--geometry", &positions]);
+    let ran = wimu(&["navigate", &later, "--setup", kit::setup("geometry", &positions)]);
     let without = texts.findings("navigate, not calibrated", &ran);
     assert!(allowed_bias(&with) < 0.2 * allowed_bias(&without));
     texts.check("calibrate_array");
@@ -163,7 +164,7 @@ fn sensors_calibrated_one_by_one_are_handed_over_in_their_order() {
         })
         .collect();
     let navigate = |order: &[usize]| {
-        let mut arguments = vec!["navigate", &later, "--geometry", &positions];
+        let mut arguments = vec!["navigate", &later, "--setup", kit::setup("geometry", &positions)];
         arguments.extend(["--sensitivity", "4096"]);
         for k in order {
             arguments.extend(["--with", &files[*k]]);

@@ -47,7 +47,7 @@ fn recording(folder: &Path) -> String {
 }
 
 fn navigate(recording: &str, geometry: &str) -> Ran {
-    wimu(&["navigate", recording, "--geometry", geometry])
+    wimu(&["navigate", recording, "--setup", kit::setup("geometry", geometry)])
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
     }
     let positions = geometry(folder.path(), &POSITIONS);
     let (a, b) = (files[0].as_str(), files[1].as_str());
-    let ran = wimu(&["navigate", a, b, a, b, "--geometry", &positions]);
+    let ran = wimu(&["navigate", a, b, a, b, "--setup", kit::setup("geometry", &positions)]);
     let object = ran.succeeds();
     assert_eq!(object["method"], "array");
     assert!(object["duration_s"].as_f64().unwrap() > 3.0, "{object}");
@@ -81,10 +81,10 @@ fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
         assert_eq!(clocks.count(), 2, "{object}");
     }
     // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
-    let calibrate = ["calibrate", a, b, a, b, "--setup", &positions];
+    let calibrate = ["calibrate", a, b, a, b, "--setup", kit::setup("geometry", &positions)];
     wimu(&calibrate).fails(3, "data_refused");
     wimu(&["navigate", a, b]).fails(2, "usage");
-    wimu(&["navigate", a, b, "--geometry", &positions]).fails(2, "usage");
+    wimu(&["navigate", a, b, "--setup", kit::setup("geometry", &positions)]).fails(2, "usage");
 }
 
 #[test]

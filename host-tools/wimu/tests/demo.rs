@@ -110,7 +110,7 @@ fn calibrated_ranges_give_a_smaller_error_and_a_sigma_that_holds_it() {
     within("/fixes_rmse_m/1", 0.05..0.3);
     // The files are those of the guides, and give the same biases.
     let [ranges, anchors] = ["ranges.csv", "anchors.csv"].map(at);
-    let again = wimu(&["navigate", &ranges, "--anchors", &anchors]).succeeds();
+    let again = wimu(&["navigate", &ranges, "--setup", kit::setup("anchors", &anchors)]).succeeds();
     for (anchor, bias) in again["anchors"].as_array().unwrap().iter().zip(biases) {
         let [a, b] = [&anchor["bias_m"]["value"], &bias["value_m"]].map(|v| v.as_f64().unwrap());
         assert!((a - b).abs() < 1e-3, "{anchor} {bias}");

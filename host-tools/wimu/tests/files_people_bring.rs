@@ -220,17 +220,8 @@ fn the_count_at_zero_is_stored_with_the_calibration() {
         write!(text, "\n{x},{y},{z}").unwrap();
     }
     fs::write(&csv, text).unwrap();
-    let calibrate = [
-        "calibrate",
-        &csv,
-        "--poses",
-        "--sensitivity",
-        "8000",
-        "--zero-count",
-        "30000",
-        "-o",
-        &cal,
-    ];
+    let calibrate =
+        ["calibrate", &csv, "--poses", "--sensitivity", "8000", "--units", "@30000", "-o", &cal];
     wimu(&calibrate).succeeds();
     // One orientation does not show the count at zero.
     let row = "30000,30000,38000";

@@ -137,7 +137,15 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
             thread::sleep(Duration::from_millis(25));
         }
     });
-    let of = ["navigate", &board.cable, "--anchors", &anchors, "--for", "7", "--ranges"];
+    let of = [
+        "navigate",
+        &board.cable,
+        "--setup",
+        kit::setup("anchors", &anchors),
+        "--for",
+        "7",
+        "--ranges",
+    ];
     let (poses, found) = navigated(&[&of[..], &[&link]].concat());
     let last = poses.last().unwrap();
     assert!(near(last, AT_M) < 0.2 && last["valid"] == true, "{last}");

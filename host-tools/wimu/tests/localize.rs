@@ -1,4 +1,4 @@
-//! `wimu navigate --anchors`: ranges alone and with odometry.
+//! `wimu navigate --setup anchors=…`: ranges alone and with odometry.
 
 use crate::kit;
 
@@ -41,7 +41,7 @@ pub fn write(folder: &Path) {
 fn odometry_without_anchors_or_a_vehicle_is_refused() {
     let run = wimu(&["navigate", "a.csv", "--odometry", "b.csv"]);
     assert_eq!(run.code, 2);
-    assert!(run.stderr.contains("--anchors"), "{}", run.stderr);
+    assert!(run.stderr.contains("anchors="), "{}", run.stderr);
     assert!(run.stderr.contains("--profile vehicle"), "{}", run.stderr);
 }
 
@@ -90,8 +90,14 @@ fn accelerations_that_are_no_numbers_are_left_out_of_a_path_with_ranges() {
     let at = |name: &str| folder.path().join(name).display().to_string();
     for acceleration in [",,", "nan,nan,nan", "0.1,,9.8", "inf,0,9.8"] {
         let imu = write_inertial(folder.path(), acceleration, true);
-        let arguments =
-            ["navigate", &imu, "--ranges", &at("ranges.csv"), "--anchors", &at("anchors.csv")];
+        let arguments = [
+            "navigate",
+            &imu,
+            "--ranges",
+            &at("ranges.csv"),
+            "--setup",
+            kit::setup("anchors", at("anchors.csv")),
+        ];
         let found = wimu(&arguments).succeeds();
         assert_eq!(found["method"], "ranges_inertial", "{acceleration}: {found}");
         let said = warnings(&found);
@@ -116,8 +122,14 @@ fn why_inertial_samples_are_not_used_beside_ranges_is_said() {
     let board = at("board.mcap");
     record_motion("slide", 4, &board);
     for input in [&imu, &board] {
-        let arguments =
-            ["navigate", input, "--ranges", &at("ranges.csv"), "--anchors", &at("anchors.csv")];
+        let arguments = [
+            "navigate",
+            input,
+            "--ranges",
+            &at("ranges.csv"),
+            "--setup",
+            kit::setup("anchors", at("anchors.csv")),
+        ];
         let found = wimu(&arguments).succeeds();
         let said = warnings(&found);
         let reason = "the inertial samples are not used: without a gyroscope the direction of the acceleration is not known";
@@ -152,7 +164,8 @@ fn a_boards_recording_beside_ranges_is_corrected_with_its_own_calibration() {
     }
     fs::write(at("ranges.csv"), ranges).unwrap();
     let (own, given) = (at("own.csv"), at("given.csv"));
-    let fixed = ["--ranges", &at("ranges.csv"), "--anchors", &at("anchors.csv")];
+    let fixed =
+        ["--ranges", &at("ranges.csv"), "--setup", kit::setup("anchors", at("anchors.csv"))];
     let found = wimu(&[&["navigate", &board, "-o", &own], &fixed[..]].concat()).succeeds();
     assert_eq!(found["method"], "ranges_inertial", "{found}");
     let with = ["navigate", &board, "-o", &given, "--with", &calibration];

@@ -70,14 +70,14 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
 
     let without = wimu(&["navigate", &good]);
     assert_eq!(without.code, 2);
-    assert!(without.stderr.contains("--full-scales"), "{without:?}");
-    let found = wimu(&["navigate", &good, "--full-scales", "2,16"]).succeeds();
+    assert!(without.stderr.contains("full_scales_g"), "{without:?}");
+    let found = wimu(&["navigate", &good, "--setup", "full_scales_g=[2,16]"]).succeeds();
     assert!(found["problems"].to_string().contains("merged; where finer ones are saturated: 1 in"));
-    let found = wimu(&["navigate", &turned, "--full-scales", "2,16"]).succeeds();
+    let found = wimu(&["navigate", &turned, "--setup", "full_scales_g=[2,16]"]).succeeds();
     assert!(found["problems"].to_string().contains("turned by 90°"), "{found}");
 
     for wrong in ["2", "2,16,200", "2,-16", "2,x"] {
-        let refused = wimu(&["navigate", &good, "--full-scales", wrong]);
+        let refused = wimu(&["navigate", &good, "--setup", kit::setup("full_scales_g", wrong)]);
         assert_ne!(refused.code, 0, "{wrong}: {refused:?}");
     }
     for sensors in ["lsm6dso,adxl345", "adxl345,adxl345", "lsm303agr,adxl345,adxl345"] {

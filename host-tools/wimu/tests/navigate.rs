@@ -96,7 +96,7 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
     let mut texts = Transcript::default();
     for (gyroscope, method) in [(true, "strapdown"), (false, "tilt")] {
         let csv = Made { gyroscope, ..PLAIN }.write(folder.path(), "in.csv");
-        let arguments = ["navigate", &csv, "--limit", "0.5"];
+        let arguments = ["navigate", &csv, "--setup", "limit_m=0.5"];
         let files = ["-o", &out, "--report", &page];
         let ran = wimu(&[&arguments[..], &files].concat());
         let report = ran.succeeds();
@@ -149,24 +149,6 @@ fn with_and_without_a_gyroscope_the_promised_columns_keys_and_report_are_written
         assert!(page.matches("<svg").count() >= 3, "{method}: position, its σ and the plan");
     }
     texts.check("navigate");
-}
-
-#[test]
-fn zero_velocity_updates_follow_their_option_and_so_does_the_covariance() {
-    let folder = folder();
-    let made = Made { gyroscope: true, ..PLAIN };
-    let csv = made.write(folder.path(), "in.csv");
-    let found = |zupt: &[&str], name: &str| {
-        let report = wimu(&[&["navigate", &csv], zupt].concat()).succeeds();
-        assert_eq!(report["zupt"], name);
-        let sigma = (0..3).map(|i| number(&report, &format!("/final_sigma_m/{i}"))).sum::<f64>();
-        (sigma, report["final_position_m"].clone())
-    };
-    let (cautious, _) = found(&["--zupt", "cautious"], "cautious");
-    let (on, on_m) = found(&["--zupt", "on"], "on");
-    let (off, _) = found(&["--zupt", "off"], "off");
-    assert_eq!(found(&[], "on"), (on, on_m), "the default");
-    assert!(off > 1.5 * on && cautious > on, "{off} {cautious} {on}");
 }
 
 #[test]
@@ -234,29 +216,6 @@ fn gaps_repeated_times_and_damaged_rows_are_reported() {
 }
 
 #[test]
-fn options_that_exclude_each_other_are_wrong_usage() {
-    let folder = folder();
-    let csv = PLAIN.write(folder.path(), "in.csv");
-    let mut texts = Transcript::default();
-    let mut usage = |more: &[&str]| {
-        let ran = wimu(&[&["navigate", &csv], more].concat());
-        texts.fails(more.join(" "), &ran, 2, "usage");
-    };
-    usage(&["--limit", "0"]);
-    usage(&["--limit", "NaN"]);
-    usage(&["--within", "0"]);
-    usage(&["--rests", "5-2"]);
-    usage(&["--rests", "soon"]);
-    usage(&["--start", "1,2"]);
-    usage(&["--with", "A.json", "--with", "B.json"]);
-    usage(&["--topic", "cable"]);
-    usage(&["-o", &csv]);
-    usage(&["--report", &csv]);
-    usage(&["--profile", "magic"]);
-    texts.check("navigate_usage");
-}
-
-#[test]
 fn a_boards_recording_is_navigated() {
     let folder = folder();
     let session = folder.path().join("s.mcap").display().to_string();
@@ -272,7 +231,8 @@ fn a_boards_recording_is_navigated() {
     let text = fs::read_to_string(&out).unwrap();
     assert!(text.starts_with("Time (s),Position E (m)"), "{text}");
     assert!(fs::read_to_string(&page).unwrap().contains("<svg"));
-    let limits = wimu(&["navigate", &session, "--limit", "0.3", "--zupt", "off"]).succeeds();
+    let limits =
+        wimu(&["navigate", &session, "--setup", "limit_m=0.3", "--zupt", "off"]).succeeds();
     assert_eq!(number(&limits, "/path/horizon/limit_m"), 0.3);
     // A path in ROS messages has no inertial data.
     let bag = folder.path().join("path.mcap").display().to_string();
@@ -281,7 +241,8 @@ fn a_boards_recording_is_navigated() {
     assert_eq!(tracks[0]["quantity"], "position", "{tracks}");
     wimu(&["calibrate", &bag]).fails(2, "no_rows");
     // A path holds no positions of boards on their body.
-    wimu(&["navigate", &session, "--geometry", &out]).fails(2, "csv_missing_column");
+    wimu(&["navigate", &session, "--setup", kit::setup("geometry", &out)])
+        .fails(2, "csv_missing_column");
 }
 
 #[allow(dead_code)]

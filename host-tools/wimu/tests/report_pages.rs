@@ -163,7 +163,8 @@ fn every_report_works_in_a_browser() {
     let reference = report("reference.html", &["calibrate", &demo, "--method", "reference"]);
     titled(&reference, "Z: output less reference");
     let (ranges, anchors) = (at("ranges.csv"), at("anchors.csv"));
-    let ranges = report("ranges.html", &["navigate", &ranges, "--anchors", &anchors]);
+    let ranges =
+        report("ranges.html", &["navigate", &ranges, "--setup", kit::setup("anchors", &anchors)]);
     titled(&ranges, "Innovation");
 
     let dark = opened(browser, folder, "allan.html", true);

@@ -371,7 +371,7 @@ impl ArrayCalibration {
             remarks.push(format!(
                 "the array is not calibrated: {why}. As its sensors differ, biases of ± {:.3} m/s² are allowed for; \
                  what the rests tell of each one is taken off, which leaves sensitivities and directions wrong by ± {:.2} %. \
-                 Rests in a dozen orientations tell all: `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`",
+                 Rests in a dozen orientations tell all: `wimu calibrate RESTS.csv --setup geometry=PLACES.csv -o ARRAY.json`",
                 self.bias_mps2,
                 self.scale * 100.0
             ));

@@ -97,7 +97,7 @@ pub(super) fn contradiction(name: &str, what: &str) -> Problem {
     Code::DataRefused.error(format!("the sensors contradict each other: {what}"),
         "check the geometry: the order of the sensors, the signs of their positions, and the directions of their \
          axes. If they are right, calibrate the sensors: hold the array still in a dozen orientations, \
-         `wimu calibrate RESTS.csv --geometry PLACES.csv -o ARRAY.json`, and navigate with --geometry ARRAY.json",
+         `wimu calibrate RESTS.csv --setup geometry=PLACES.csv -o ARRAY.json`, and navigate with --setup geometry=ARRAY.json",
     )
     .at(name)
 }

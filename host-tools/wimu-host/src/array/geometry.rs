@@ -185,7 +185,7 @@ impl ArrayGeometry {
         }
         let bad = |message: String| {
             Code::BadCalibration.error(message,
-                "give a file that `wimu calibrate --geometry` or `wimu navigate --refine` wrote, or a table of places in m",
+                "give a file that `wimu calibrate --setup geometry=FILE` or `wimu navigate --setup refine=FILE` wrote, or a table of places in m",
             )
             .at(&name)
         };

@@ -171,7 +171,7 @@ impl Fixes {
             let sd = significant(least_m, 2);
             format!(
                 "the fixes are ± {sd} m in space at best: give their σ as Position Sigma E (m), N, U if it is smaller, or a \
-                 larger --limit"
+                 larger `limit_m` (--setup)"
             )
         };
         (least_m > limit_m && least_m.is_finite()).then(text)

@@ -175,7 +175,7 @@ impl Live {
     /// What was noticed up to now.
     pub fn findings(&self) -> Vec<Problem> {
         let mut found = [&self.choice.fixes.findings[..], &self.findings].concat();
-        let late = "arrived later than the filter waits: not used (--fix-delay)";
+        let late = "arrived later than the filter waits: not used (--setup fix_delay_s=S)";
         let counts = [
             (self.late[0], "fix", late),
             (self.late[1], "range", late),

@@ -207,7 +207,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
 }
 
 /// What to do where no position is valid.
-const REMEDY: &str = "give a larger --limit, or hold the unit still for a second first, and see that its times go on";
+const REMEDY: &str = "give a larger `limit_m` (--setup), or hold the unit still for a second first, and see that its times go on";
 
 /// The path of a recording of which every sample is a number.
 fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {

@@ -44,7 +44,7 @@ impl Suspects {
             "most ranges contradict the path, anchor {}: has it moved, or no line of sight?",
             named.join(", ")
         );
-        let remedy = "they have little weight; correct its position in --anchors";
+        let remedy = "they have little weight; correct its position in the anchors";
         (!named.is_empty()).then(|| Code::Residuals.warning(text).remedy(remedy))
     }
 }
@@ -93,10 +93,10 @@ impl Aiding {
             );
             let remedy = match self.lag.delay_s() {
                 Some(delay_s) => format!(
-                    "a delay of about {} s explains most of them: try --fix-delay",
+                    "a delay of about {} s explains most of them: try --setup fix_delay_s=S",
                     significant(delay_s, 2)
                 ),
-                None => "check their standard deviations, the delay (--fix-delay) and the lever arm (--lever-arm)".to_owned(),
+                None => "check their standard deviations, the delay (--setup fix_delay_s=S) and the lever arm (lever_arm_m)".to_owned(),
             };
             let finding = Code::Navigation.warning(text).remedy(remedy);
             found.push(finding.between(first, last));

@@ -197,7 +197,9 @@ impl<'a> Unit<'a> {
             let message = format!("{what} needs a gyroscope");
             let remedy = match choice.profile {
                 Profile::Foot => "record the angular rate, or use another profile",
-                _ => "navigate the ranges alone: `wimu navigate RANGES.csv --anchors ANCHORS.csv`",
+                _ => {
+                    "navigate the ranges alone: `wimu navigate RANGES.csv --setup anchors=ANCHORS.csv`"
+                }
             };
             return Err(Code::DataRefused.error(message, remedy).at(self.name));
         }

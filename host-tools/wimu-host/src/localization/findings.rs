@@ -84,7 +84,7 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
     } else if !recording.planar && extent(1) < LINE * extent(0) {
         "the anchors are on a line: move one out of it, or leave out `Position U`".to_owned()
     } else {
-        "give a larger --limit, or put anchors on more sides".to_owned()
+        "give a larger `limit_m` (--setup), or put anchors on more sides".to_owned()
     }
 }
 

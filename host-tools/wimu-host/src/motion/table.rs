@@ -165,11 +165,11 @@ fn without_unit(recording: &Recording) -> Problem {
         }
         (_, count @ 2..) => Code::CsvMissingColumn.error(
             format!("it has {count} accelerometers: {}", names.join(", ")),
-            "choose one with --topic; for several on one body give --geometry, or --full-scales where their ranges differ",
+            "choose one with --topic; for several on one body give --setup geometry=FILE, or --setup full_scales_g=[G,G] where their ranges differ",
         ),
         _ => Code::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",
-            "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …, or give --rate HZ; for several accelerometers on one body give --geometry",
+            "name the columns `Time (s)`, `Accelerometer X (m/s²)`, …, or give --rate HZ; for several accelerometers on one body give --setup geometry=FILE",
         ),
     };
     error.at(&recording.name)

@@ -43,7 +43,7 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
                     sensor.name(),
                     most / STANDARD_GRAVITY_MPS2
                 ),
-                "give --full-scales in g, in the order of the accelerometers",
+                "give `--setup full_scales_g=[…]` in g, in the order of the accelerometers",
             ));
         }
     }

@@ -242,7 +242,7 @@ impl Recording {
                 &format!("it has {} accelerometers", all.len()),
                 format!(
                     "choose one with --sensor: {numbers}; the accelerometers of an array are calibrated together with \
-                     --geometry"
+                     --setup geometry=FILE"
                 ),
             ),
         }

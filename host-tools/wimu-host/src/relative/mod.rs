@@ -97,7 +97,7 @@ fn search(
     let names = recordings.map(|recording| recording.name.as_str()).join(" and ");
     let at = |error: Problem| error.at(&names);
     let given = choice.hinge.map(|axis| {
-        let remedy = "give three numbers that are not all zero, such as --hinge 0,0,1";
+        let remedy = "give three numbers that are not all zero, such as --setup hinge=[0,0,1]";
         Hinge::given(axis).ok_or_else(|| Code::Usage.error("the hinge axis is zero", remedy))
     });
     let given = given.transpose()?;

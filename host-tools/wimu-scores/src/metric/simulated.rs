@@ -39,7 +39,7 @@ pub fn multi_range(case: &Case, source: Source) -> Result<Score> {
         };
         let ran = match source {
             Source::FinestAlone => case.navigate(&[table(0)], &[], "")?,
-            _ => case.navigate(&[table(0), table(1)], &["--full-scales", "2,16"], "")?,
+            _ => case.navigate(&[table(0), table(1)], &["--setup", "full_scales_g=[2,16]"], "")?,
         };
         let end = simulated.impact.pose(simulated.impact.duration()).position_m;
         let last = ran.data["moves"].as_array().and_then(|moves| moves.last());

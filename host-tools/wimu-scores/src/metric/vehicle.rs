@@ -18,7 +18,7 @@ const REJECTED: f64 = 0.3;
 
 fn drive(case: &Case, table: Table, fixes: &Table) -> Result<Ran> {
     let fixes = case.file("fixes.csv", fixes)?;
-    case.navigate(&[table], &["--smooth", "off", "--limit", "1000", "--fixes", &fixes], "")
+    case.navigate(&[table], &["--smooth", "off", "--setup", "limit_m=1000", "--fixes", &fixes], "")
 }
 
 /// The recording, the fixes, and the span of both, s.

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use wimu_host::Result;
 use wimu_host::inertial::Profile;
 
-use super::values::{from_to, numbers};
+use super::setup::Setup;
 
 #[derive(Args)]
 #[command(next_help_heading = "Aiding")]
@@ -13,41 +14,36 @@ pub struct Aids {
     /// What is assumed of the motion
     #[arg(long, value_enum, default_value_t, help_heading = "Model")]
     pub profile: MotionProfile,
+    /// Positions of another system, CSV or LINK
+    ///
     /// Position, velocity or heading by another system (columns: docs/localization/fixes.md); a LINK too if INPUT is one
-    #[arg(long, value_name = "FIXES.csv|LINK", group = "aids", conflicts_with = "anchors")]
+    #[arg(long, value_name = "FIXES.csv|LINK")]
     pub fixes: Option<PathBuf>,
-    /// Time from a fix or range to its time stamp, s
-    #[arg(
-        long,
-        value_name = "S",
-        default_value_t = 0.0,
-        value_parser = from_to(-2.0, 2.0),
-        allow_hyphen_values = true,
-        requires = "aids"
-    )]
-    pub fix_delay: f64,
-    /// Position of the antenna from the inertial sensor or the odometer, m, body axes
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_parser = numbers::<3>,
-        allow_hyphen_values = true
-    )]
-    pub lever_arm: Option<[f64; 3]>,
-    /// Positions of anchors: columns `Anchor`, `Position E (m)`, `Position N (m)`, in space `Position U (m)`
-    #[arg(long, value_name = "ANCHORS.csv")]
-    pub anchors: Option<PathBuf>,
-    /// Ranges beside inertial samples: columns `Time (s)`, `Anchor`, `Range (m)`; a LINK too if INPUT is one
-    #[arg(long, value_name = "RANGES.csv|LINK", group = "aids", requires = "anchors")]
+    /// Ranges to anchors, CSV or LINK
+    ///
+    /// Ranges to the anchors of the setup beside inertial samples: columns `Time (s)`, `Anchor`, `Range (m)`; a LINK too if
+    /// INPUT is one
+    #[arg(long, value_name = "RANGES.csv|LINK")]
     pub ranges: Option<PathBuf>,
-    /// Prior σ of noise, m, bias, m, scale error of ranges [default: 0.03,0.1,0; with --odometry 0.5,0.5,0.1]
-    #[arg(
-        long,
-        value_name = "NOISE,BIAS,SCALE",
-        value_parser = numbers::<3>,
-        requires = "anchors"
-    )]
-    pub range_errors: Option<[f64; 3]>,
+    /// Rare inputs: a file, or one of its keys
+    ///
+    /// Anchors, lever arms, delays, an array, two units: a file or one of its keys; --print-setup explains them
+    #[arg(long = "setup", value_name = "SETUP.toml|KEY=VALUE", help_heading = "Model")]
+    pub given: Vec<String>,
+    /// The same, read.
+    #[arg(skip)]
+    pub setup: Setup,
+}
+
+impl Aids {
+    /// Reads the setup.
+    ///
+    /// # Errors
+    /// Those of [`Setup::read`].
+    pub fn read_setup(&mut self) -> Result<()> {
+        self.setup = Setup::read(&self.given)?;
+        Ok(())
+    }
 }
 
 /// Motion profiles.

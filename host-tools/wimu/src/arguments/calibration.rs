@@ -11,7 +11,9 @@ use super::reading::Reading;
 use super::values::{Place, from_to, place, positive, seconds, sensitivity, side};
 
 #[derive(Args)]
-#[command(after_help = "\
+#[command(
+    after_help = "Example: wimu calibrate session.mcap -o CAL.json; more with --help",
+    after_long_help = "\
 Examples:
   wimu calibrate session.mcap -o CAL.json
   wimu calibrate tcp://127.0.0.1:7100 --push -o CAL.json
@@ -24,10 +26,13 @@ Examples:
   wimu calibrate session.mcap --method reference
   wimu calibrate two.csv --method reference --reference 0 --sensor 1
   wimu calibrate session.mcap --method magnetometer --with CAL.json -o BOTH.json
-  wimu calibrate board.csv --setup positions.csv -o ARRAY.json")]
+  wimu calibrate board.csv --setup geometry=positions.csv -o ARRAY.json"
+)]
 pub struct Calibrate {
     /// A LINK, or a recording of any format
     pub input: String,
+    /// Further sessions of the same sensor
+    ///
     /// Further sessions of the same sensor: their parameters are combined, with the change between sessions. With
     /// --setup: recordings of further boards on the same body, in the order of the geometry
     #[arg(value_name = "FILE")]
@@ -35,21 +40,27 @@ pub struct Calibrate {
 
     #[command(flatten)]
     pub reading: Reading,
+    /// Index of the accelerometer in the file
+    ///
     /// Index of the accelerometer to calibrate in a file that has several
     #[arg(long, value_name = "INDEX", help_heading = "Input")]
     pub sensor: Option<u8>,
     /// Each row of the table is the mean of one static pose
     #[arg(long, help_heading = "Input")]
     pub poses: bool,
+    /// Nominal sensitivity, LSB/g
+    ///
     /// Nominal sensitivity, LSB/g [default: the board's; for a CSV file the mean scale factor of the fit]
     #[arg(long, value_name = "LSB_PER_G", value_parser = positive, help_heading = "Input")]
     pub sensitivity: Option<f64>,
     /// Full-scale range of a CSV file, ± g [default: 32768 / sensitivity, rounded down to a power of two]
-    #[arg(long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
+    #[arg(hide_short_help = true, long, value_name = "G", value_parser = value_parser!(u8).range(1..=127), help_heading = "Input")]
     pub range: Option<u8>,
     /// For method reference: index of the accelerometer of a CSV file that is the reference [default: the first]
-    #[arg(long, value_name = "INDEX", help_heading = "Input")]
+    #[arg(hide_short_help = true, long, value_name = "INDEX", help_heading = "Input")]
     pub reference: Option<u8>,
+    /// Calibration to update, or beside the field
+    ///
     /// Calibration to update, or calibration of the accelerometer beside the magnetometer [default: that of the
     /// recording or the device]
     #[arg(long, value_name = "CAL.json", help_heading = "Input")]
@@ -58,46 +69,53 @@ pub struct Calibrate {
     /// How to calibrate
     #[arg(long, value_enum, default_value_t = Method::MultiPosition, help_heading = "Model")]
     pub method: Method,
+    /// Parameters: 3, 6, 9, 12 or auto, +drift, …
+    ///
     /// Parameters to estimate: 3 (bias), 6 (and scale factors), 9 (and misalignments), or auto (least leave-one-out
     /// error). Append +drift (of the bias), +temperature or +quadratic, as in 9+drift [default: 9; six-position has 12,
     /// four-angle and three-angle have 6]
     #[arg(long, value_name = "3|6|9|12|auto[+TERM…]", help_heading = "Model")]
     pub model: Option<String>,
+    /// Local gravity, m/s²
+    ///
     /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
     #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
     pub gravity: Option<f64>,
+    /// Latitude of the place, and its height
+    ///
     /// Latitude of the place, degrees, negative in the south, and its height, m: gravity by the WGS 84 formula,
     /// ± 0.0005 m/s² (1 σ)
     #[arg(long, value_name = "DEG[,M]", allow_hyphen_values = true, value_parser = place, conflicts_with = "gravity", help_heading = "Model")]
     pub latitude: Option<Place>,
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
-    #[arg(long, value_name = "NAME", help_heading = "Model")]
+    #[arg(hide_short_help = true, long, value_name = "NAME", help_heading = "Model")]
     pub chip: Option<String>,
     /// For method magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
     /// mirrored axis [default: the field points down]
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), help_heading = "Model")]
+    #[arg(hide_short_help = true, long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), help_heading = "Model")]
     pub dip: Option<f64>,
 
     /// For methods with known orientations: placement error, degrees, 1 σ [default: 1]
-    #[arg(long, value_name = "DEG", help_heading = "Placement")]
+    #[arg(hide_short_help = true, long, value_name = "DEG", help_heading = "Placement")]
     pub placement_sd: Option<f64>,
     /// For method six-position: the side that is up in each pose, in order, such as "x,-x,y,-y,z,-z". Shows swapped and
     /// mirrored axes
-    #[arg(long, value_name = "SIDES", allow_hyphen_values = true, value_delimiter = ',', value_parser = side, help_heading = "Placement")]
+    #[arg(hide_short_help = true, long, value_name = "SIDES", allow_hyphen_values = true, value_delimiter = ',', value_parser = side, help_heading = "Placement")]
     pub sides: Option<Vec<Face>>,
 
-    /// Calibrate all accelerometers of an array: a file with their positions, or a preset, see `wimu navigate --help`.
-    /// Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
+    /// Calibrate an array of this geometry
+    ///
+    /// Calibrate all accelerometers of an array, whose `geometry` is in this setup, see `wimu navigate --print-setup`. Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
     #[arg(
         long,
-        value_name = "SETUP",
+        value_name = "SETUP.toml|KEY=VALUE",
         help_heading = "Arrays",
         conflicts_with_all = [
             "method", "sensor", "model", "with", "chip", "range", "poses", "filter", "reference", "placement_sd", "sides",
             "report", "count", "dip", "push", "resume",
         ]
     )]
-    pub setup: Option<PathBuf>,
+    pub setup: Vec<String>,
 
     /// Write the calibration to this file
     #[arg(short, long, value_name = "CAL.json", help_heading = "Output")]
@@ -109,16 +127,20 @@ pub struct Calibrate {
     /// Push the result to the device (LINK only)
     #[arg(long, help_heading = "Device")]
     pub push: bool,
+    /// Number of poses to capture (LINK only)
+    ///
     /// Number of poses to capture (LINK only), at most 64 [default: 12]
     #[arg(long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
     pub count: Option<u8>,
     /// Continue an interrupted session: its poses are in CAL.poses.csv, or wimu-calibration.poses.csv without -o (LINK only)
-    #[arg(long, help_heading = "Device")]
+    #[arg(hide_short_help = true, long, help_heading = "Device")]
     pub resume: bool,
 }
 
 #[derive(Args)]
-#[command(after_help = "\
+#[command(
+    after_help = "Example: wimu align rests.mcap --up z,x -o CAL.json; more with --help",
+    after_long_help = "\
 Examples:
   wimu align rests.mcap --up z,x -o CAL.json
       rests level (body z up), then on its tail (body x up)
@@ -130,12 +152,15 @@ Examples:
       listens until both rests were found
   wimu align imu.csv --camera poses.csv --report camera.html
       pose of a camera in the body, from its poses and inertial data or poses of the body
-Push a written result with `wimu device params push LINK CAL.json`.")]
+Push a written result with `wimu device params push LINK CAL.json`."
+)]
 pub struct Align {
     /// A LINK, or a recording of any format
     pub input: String,
     #[command(flatten)]
     pub reading: Reading,
+    /// Body axes that point up: z,x
+    ///
     /// Body axis that points up at each rest, in order: z is level, -x is nose down
     #[arg(
         long,
@@ -145,12 +170,18 @@ pub struct Align {
         allow_hyphen_values = true
     )]
     pub up: Vec<String>,
+    /// Numbers of these rests, from 0
+    ///
     /// Numbers of these rests, from 0, where the recording has more rests than --up names
     #[arg(long, value_name = "N", value_delimiter = ',')]
     pub rests: Option<Vec<usize>>,
+    /// It moves straight ahead, along its x axis
+    ///
     /// After the first of these rests the body moves straight ahead, along its x axis
     #[arg(long)]
     pub forward: bool,
+    /// Calibration of the accelerometer
+    ///
     /// Calibration of the accelerometer [default: that of the recording or the device]
     #[arg(long, value_name = "CAL.json")]
     pub with: Option<PathBuf>,
@@ -160,12 +191,16 @@ pub struct Align {
     /// Write the calibration with the alignment to this file
     #[arg(short, long, value_name = "CAL.json")]
     pub output: Option<PathBuf>,
+    /// Longest time to listen, s (LINK only)
+    ///
     /// Longest time to listen, s (LINK only) [default: until the alignment is known, or Ctrl-C]
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub seconds: Option<Duration>,
     /// Push the result to the device (LINK only)
     #[arg(long)]
     pub push: bool,
+    /// Find the pose of a camera in the body
+    ///
     /// Find the pose of a camera in the body instead: its poses, a CSV table or a TUM trajectory
     #[arg(long, value_name = "POSES", conflicts_with_all = ["up", "rests", "forward", "placement_sd", "output", "seconds", "push"])]
     pub camera: Option<PathBuf>,

@@ -20,9 +20,13 @@ Examples:
 pub struct Convert {
     /// A recording of any format, or a calibration with --to
     pub input: PathBuf,
+    /// File to write: CSV, or ROS 2 messages (.mcap)
+    ///
     /// File to write: a CSV table, or ROS 2 messages where its name ends in .mcap [default: a calibration is printed]
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
+    /// Correct the recording by this calibration
+    ///
     /// Correct the recording by this calibration, or by the link model of `wimu compare -o`. Counts need a calibration
     /// made from counts; m/s² or g need one made from m/s² or g
     #[arg(long, value_name = "CAL.json", conflicts_with = "to")]
@@ -33,10 +37,14 @@ pub struct Convert {
     /// Output of `wimu allan --json`: noise figures for kalibr
     #[arg(long, value_name = "NOISE.json", requires = "to")]
     pub noise: Option<PathBuf>,
-    /// Stream of a recording of wimu [default: raw]. Only `corrected` has the corrected magnetic field, where `Field
+    /// Stream of a recording of wimu [default: raw]
+    ///
+    /// Only `corrected` has the corrected magnetic field, where `Field
     /// Calibrated` is 1
     #[arg(long, value_enum, conflicts_with = "to")]
     pub stream: Option<Stream>,
+    /// Index of the sensor [default: 0]
+    ///
     /// Index of the sensor of a recording of wimu [default: 0]; those above 0 have raw samples only
     #[arg(long, value_name = "INDEX", conflicts_with = "to")]
     pub sensor: Option<u8>,

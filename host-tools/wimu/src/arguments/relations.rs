@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory};
 use wimu_host::{Input, Result};
 
-use super::{Arguments, Method};
+use super::{Arguments, Command, Method};
 use crate::output::usage;
 
 /// Which options of a command go with which value of another option. Options without a row go with all of them.
@@ -65,7 +65,7 @@ const FILE: &str = "a file";
 const LINKS: [&str; 2] = ["cable", "wireless"];
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 20] = [
+const INPUTS: [(&str, &str); 19] = [
     ("where", TABLE),
     ("format", TABLE),
     ("poses", TABLE),
@@ -74,7 +74,6 @@ const INPUTS: [(&str, &str); 20] = [
     ("topic", TABLE),
     ("columns", TABLE),
     ("units", TABLE),
-    ("zero-count", TABLE),
     ("count", "a LINK"),
     ("resume", "a LINK"),
     ("for", "a LINK"),
@@ -85,7 +84,43 @@ const INPUTS: [(&str, &str); 20] = [
     ("smooth", FILE),
     ("loop", FILE),
     ("odometry", FILE),
-    ("survey", FILE),
+    ("survey_m", FILE),
+];
+
+/// Options and keys of the setup of `navigate` that exclude each other.
+const EXCLUDE: [(&str, &[&str]); 4] = [
+    (
+        "geometry",
+        &[
+            "anchors",
+            "fixes",
+            "full_scales_g",
+            "loop",
+            "odometry",
+            "profile",
+            "relative",
+            "rests",
+            "smooth",
+            "start",
+            "within",
+        ],
+    ),
+    ("anchors", &["fixes", "full_scales_g", "loop", "relative", "rests"]),
+    ("relative", &["fixes", "full_scales_g", "loop", "rests", "start", "within", "zupt"]),
+    ("ranges", &["odometry"]),
+];
+
+/// Those that need another.
+const NEED: [(&str, &[&str]); 9] = [
+    ("ranges", &["anchors"]),
+    ("range_errors", &["anchors"]),
+    ("survey_m", &["anchors"]),
+    ("fix_delay_s", &["fixes", "ranges"]),
+    ("refine", &["geometry"]),
+    ("place_sd_mm", &["geometry"]),
+    ("delay_sd_us", &["geometry"]),
+    ("hinge", &["relative"]),
+    ("magnetometers", &["relative"]),
 ];
 
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.
@@ -95,7 +130,7 @@ const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
 ///
 /// # Errors
 /// `usage`, with the option, what it needs and what was given.
-pub fn check(matches: &ArgMatches) -> Result<()> {
+pub fn check(matches: &ArgMatches, parsed: &Command) -> Result<()> {
     let Some((name, matches)) = matches.subcommand() else {
         return Ok(());
     };
@@ -103,24 +138,60 @@ pub fn check(matches: &ArgMatches) -> Result<()> {
     let Some(command) = command.find_subcommand(name) else {
         return Ok(());
     };
-    let given: Vec<&str> = command
+    let mut given: Vec<&str> = command
         .get_arguments()
         .filter(|option| {
             matches.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine)
         })
         .filter_map(|option| option.get_long())
         .collect();
+    if let Command::Navigate(navigate) = parsed {
+        given.extend(navigate.aids.setup.given.iter().map(String::as_str));
+        of_navigation(&given, !navigate.boards.is_empty())?;
+    }
     for table in TABLES.iter().filter(|table| table.command == name) {
         by_value(table, matches, &given)?;
     }
     if matches!(name, "align" | "allan" | "calibrate" | "info" | "navigate")
         && !given.contains(&"geometry")
-        && !given.contains(&"setup")
+        && (name != "calibrate" || !given.contains(&"setup"))
+        && !given.contains(&"print-setup")
     {
         by_input(matches, &given)?;
         if name == "calibrate" {
             several(matches)?;
         }
+    }
+    Ok(())
+}
+
+/// An option or a key of the setup, as it is given.
+fn written(name: &str) -> String {
+    let is_key = NEED.iter().any(|(key, _)| *key == name) && name != "ranges";
+    match is_key || ["geometry", "anchors", "full_scales_g"].contains(&name) {
+        true => format!("{name} in the setup"),
+        false => format!("--{name}"),
+    }
+}
+
+fn of_navigation(given: &[&str], has_boards: bool) -> Result<()> {
+    for (one, others) in EXCLUDE.iter().filter(|(one, _)| given.contains(one)) {
+        if let Some(other) = others.iter().find(|other| given.contains(other)) {
+            let message = format!("{} does not go with {}", written(other), written(one));
+            return Err(usage(message, "leave one of the two out"));
+        }
+    }
+    for (one, others) in NEED.iter().filter(|(one, _)| given.contains(one)) {
+        if !others.iter().any(|other| given.contains(other)) {
+            let needed: Vec<String> = others.iter().map(|other| written(other)).collect();
+            let message = format!("{} needs {}", written(one), needed.join(" or "));
+            return Err(usage(message, "add it, or leave both out"));
+        }
+    }
+    let several = ["geometry", "full_scales_g", "relative"];
+    if has_boards && !several.iter().any(|option| given.contains(option)) {
+        let remedy = "add --relative, or `--setup geometry=FILE` or `full_scales_g=[G,G]`";
+        return Err(usage("several recordings are given for one unit", remedy));
     }
     Ok(())
 }
@@ -179,7 +250,7 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
     if let (true, Some(option)) =
         (given.contains(&"anchors") && kind != "a LINK", BESIDE_A_BOARD.iter().find(beside))
     {
-        let message = format!("--{option} goes with --anchors only if INPUT is a LINK");
+        let message = format!("--{option} goes with anchors only if INPUT is a LINK");
         return Err(usage(message, "leave one of the two out").at(input));
     }
     let topic = matches.get_one::<String>("topic").map(String::as_str);
@@ -201,9 +272,11 @@ fn by_input(matches: &ArgMatches, given: &[&str]) -> Result<()> {
                 }
                 _ => "leave it out",
             };
-            return Err(
-                usage(format!("--{option} needs {needed}; this is {kind}"), remedy).at(input)
-            );
+            return Err(usage(
+                format!("{} needs {needed}; this is {kind}", written(option)),
+                remedy,
+            )
+            .at(input));
         }
     }
     Ok(())

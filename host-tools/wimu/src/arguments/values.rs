@@ -25,15 +25,6 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Finite numbers between commas.
-pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
-    let values: Option<Vec<f64>> = (text.split(','))
-        .map(|part| part.trim().parse().ok().filter(|v: &f64| v.is_finite()))
-        .collect();
-    let values = values.and_then(|values| values.try_into().ok());
-    values.ok_or_else(|| format!("give {N} numbers between commas"))
-}
-
 /// A duration in seconds.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     text.parse()

@@ -18,7 +18,7 @@ use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::{ParameterSet, Sensitivity};
 
-use crate::arguments::{Calibrate, Method};
+use crate::arguments::{Calibrate, Method, Setup};
 use crate::command::{Connection, connect_for, not_over_input};
 use crate::output::{Output, usage};
 
@@ -28,7 +28,12 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     for file in &arguments.more {
         not_over_input(file, arguments.output.as_deref())?;
     }
-    match (&arguments.setup, arguments.method) {
+    let setup = Setup::read(&arguments.setup)?;
+    if let Some(key) = setup.given.iter().find(|key| *key != "geometry") {
+        let message = format!("--setup: {key} has no use in a calibration");
+        return Err(usage(message, "give the geometry alone"));
+    }
+    match (&setup.geometry, arguments.method) {
         (Some(geometry), _) => array::run(arguments, geometry, output).map(|()| 0),
         (_, Method::Magnetometer) => magnetometer::run(arguments, output),
         (_, Method::Update) => update(arguments, output),

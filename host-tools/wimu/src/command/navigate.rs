@@ -20,7 +20,7 @@ use wimu_host::{Code, Input, Result};
 use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
-use crate::arguments::{MotionProfile, Navigate, ZeroVelocity};
+use crate::arguments::{MotionProfile, Navigate, SETUP_EXAMPLE, ZeroVelocity};
 use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
@@ -112,6 +112,10 @@ fn to_tenth_mm(m: f64) -> f64 {
 }
 
 pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
+    if arguments.print_setup {
+        output.print(SETUP_EXAMPLE.trim_end());
+        return Ok(());
+    }
     let input = arguments.input.to_string_lossy();
     if !arguments.relative
         && let Ok(Input::Link(link)) = Input::parse(&input)
@@ -128,22 +132,22 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     if arguments.relative {
         return relative::run(arguments, output);
     }
-    if arguments.with.len() > 1 && arguments.geometry.is_none() {
+    if arguments.with.len() > 1 && arguments.aids.setup.geometry.is_none() {
         return Err(usage(
             "--with was given more than once for a single sensor",
-            "give one, or --geometry",
+            "give one, or `--setup geometry=FILE`",
         ));
     }
     let in_vehicle = arguments.aids.profile == MotionProfile::Vehicle;
-    if arguments.odometry.is_some() && arguments.aids.anchors.is_none() && !in_vehicle {
-        let remedy = "add `--profile vehicle`, or ranges with --anchors";
+    if arguments.odometry.is_some() && arguments.aids.setup.anchors.is_none() && !in_vehicle {
+        let remedy = "add `--profile vehicle`, or ranges with `--setup anchors=FILE`";
         return Err(usage("--odometry goes with a vehicle or with ranges", remedy));
     }
-    if let Some(anchors) = &arguments.aids.anchors {
+    if let Some(anchors) = &arguments.aids.setup.anchors {
         return ranges::run(arguments, anchors, output);
     }
     let is_of_wimu = matches!(Input::parse(&input), Ok(Input::Recording(_)));
-    if !is_of_wimu || arguments.geometry.is_some() {
+    if !is_of_wimu || arguments.aids.setup.geometry.is_some() {
         return inertial::run(arguments, output);
     }
     let recording = Capture::load(&arguments.input)?;

@@ -486,6 +486,11 @@ pub fn noise() -> impl FnMut() -> f64 {
     }
 }
 
+/// A value of `--setup`.
+pub fn setup(key: &str, value: impl Display) -> &'static str {
+    format!("{key}={value}").leak()
+}
+
 /// A folder for one test, gone afterwards.
 pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a folder")

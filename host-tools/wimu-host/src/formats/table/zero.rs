@@ -68,7 +68,7 @@ pub fn find(
         Zero::None => return zero,
         Zero::At(zero) => (
             format!("the counts of `{}` are around {zero}", group.name),
-            "it is subtracted; if it is not zero, give --zero-count",
+            "it is subtracted; if it is not zero, give --units LSB@N",
         ),
         Zero::Wrapped => (
             format!(

@@ -56,7 +56,7 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()
     if let Some(file) = &arguments.output {
         found.geometry.write(file)?;
         output.print(format!(
-            "wrote {}, for `wimu navigate … --setup {}`",
+            "wrote {}, for `wimu navigate … --setup geometry={}`",
             file.display(),
             file.display()
         ));

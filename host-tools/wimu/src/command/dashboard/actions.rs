@@ -235,9 +235,10 @@ impl Board {
         };
         let Aiding { profile, fixes, ranges, anchors } = aiding;
         let mut words = Vec::from(["wimu", "navigate", &self.name].map(String::from));
-        for (option, name) in [("fixes", fixes), ("ranges", ranges), ("anchors", anchors)] {
+        for (option, name) in [("fixes=", fixes), ("ranges=", ranges), ("setup=anchors=", anchors)]
+        {
             if !name.is_empty() {
-                words.push(format!("--{option}={}", source(name)?));
+                words.push(format!("--{option}{}", source(name)?));
             }
         }
         if !profile.is_empty() {
@@ -249,7 +250,10 @@ impl Board {
             usage(first, "see `wimu navigate --help`, Aiding")
         })?;
         match parsed.command {
-            Command::Navigate(navigate) => Beside::new(&navigate.aids, &self.name),
+            Command::Navigate(mut navigate) => {
+                navigate.aids.read_setup()?;
+                Beside::new(&navigate.aids, &self.name)
+            }
             _ => Err(usage("no aiding", "choose a profile")),
         }
     }

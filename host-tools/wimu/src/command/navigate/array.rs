@@ -1,4 +1,4 @@
-//! `wimu navigate --geometry`: an array of accelerometers, in one table or on several boards.
+//! `wimu navigate --setup geometry=…`: an array of accelerometers, in one table or on several boards.
 
 use std::path::Path;
 
@@ -19,18 +19,19 @@ pub fn path(
     choice: &Choice,
     output: &Output,
 ) -> Result<(InertialPath, Option<Refined>)> {
-    for written in [&arguments.refine, &arguments.output, &arguments.report] {
+    for written in [&arguments.aids.setup.refine, &arguments.output, &arguments.report] {
         for read in arguments.boards.iter().chain(&arguments.with) {
             not_over_input(read, written.as_deref())?;
         }
         not_over_input(geometry, written.as_deref())?;
     }
-    not_over_input(&arguments.input, arguments.refine.as_deref())?;
+    not_over_input(&arguments.input, arguments.aids.setup.refine.as_deref())?;
     let mut geometry = ArrayGeometry::read(geometry)?;
     if !arguments.with.is_empty() {
         geometry = geometry.with_models(&arguments.with)?;
     }
-    let options = array::prior(arguments.place_sd, arguments.delay_sd, &geometry);
+    let options =
+        array::prior(arguments.aids.setup.place_sd_mm, arguments.aids.setup.delay_sd_us, &geometry);
     let read = array::read(
         &arguments.input,
         &arguments.boards,
@@ -43,7 +44,7 @@ pub fn path(
     calibration.place_sd_m = options.place_sd_m;
     calibration.delay_sd_s = options.delay_sd_s;
     let mut refined = None;
-    if let Some(file) = &arguments.refine {
+    if let Some(file) = &arguments.aids.setup.refine {
         let found = refine(&recording, &geometry, &calibration, &options)?;
         let shown = refined.insert(Refined::of(&found, output));
         if found.accepted {

@@ -29,7 +29,7 @@ pub struct Found {
 /// Navigates a recording of one unit, or an array.
 pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let source = wimu_host::untrusted::name(&arguments.input);
-    let found = match &arguments.geometry {
+    let found = match &arguments.aids.setup.geometry {
         Some(geometry) => {
             let choice = choice(arguments)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
@@ -86,13 +86,13 @@ fn calibrated(
     let mut load = arguments.reading.options(false);
     load.stored_zero_count = calibration.and_then(|file| zero_count(file));
     let mut recording = formats::load(file, &load)?;
-    if arguments.full_scales.is_empty() {
+    if arguments.aids.setup.full_scales_g.is_empty() {
         return MotionRecording::of(&recording, &options);
     }
     for other in &arguments.boards {
         recording.add_accelerometer(&formats::load(other, &load)?)?;
     }
-    let scales = FullScales::of(&arguments.full_scales)?;
+    let scales = FullScales::of(&arguments.aids.setup.full_scales_g)?;
     let Some(merge) = Merge::of(&recording, &scales)? else {
         return MotionRecording::of(&recording, &options);
     };
@@ -121,7 +121,7 @@ pub fn choice(arguments: &Navigate) -> Result<Choice> {
     }
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
-        limit_m: arguments.limit,
+        limit_m: arguments.limit_m(),
         within_m: arguments.within,
         rests_s: arguments.rests.clone(),
         start: arguments.start,
@@ -137,13 +137,13 @@ pub fn aided_choice(aids: &Aids) -> Result<Choice> {
         // A link has none yet.
         Some(from) => match Input::parse(&from.to_string_lossy())? {
             Input::Link(_) => Fixes::default(),
-            _ => Fixes::read(from, aids.fix_delay)?,
+            _ => Fixes::read(from, aids.setup.fix_delay_s)?,
         },
         None => Fixes::default(),
     };
     Ok(Choice {
         profile: aids.profile.into(),
-        fixes: Fixes { lever_arm_m: aids.lever_arm.unwrap_or_default(), ..fixes },
+        fixes: Fixes { lever_arm_m: aids.setup.lever_arm_m.unwrap_or_default(), ..fixes },
         ..Choice::default()
     })
 }

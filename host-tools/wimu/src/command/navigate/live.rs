@@ -76,7 +76,7 @@ impl Pose {
 pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     corrected_there(arguments, link)?;
     let aids = &arguments.aids;
-    let read = [&aids.fixes, &aids.ranges, &aids.anchors];
+    let read = [&aids.fixes, &aids.ranges, &aids.setup.anchors];
     writable(arguments, read.into_iter().flatten())?;
     let mut choice = choice(arguments)?;
     let mut fixes = Aiding::of(aids, &mut choice)?;
@@ -129,25 +129,25 @@ impl Aiding {
     /// Opens what the options name, and gives the choice the anchors.
     fn of(aids: &Aids, choice: &mut Choice) -> Result<Self> {
         let fixes = std::mem::take(&mut choice.fixes.fixes);
-        if let Some(anchors) = &aids.anchors {
-            choice.fixes.ranging = Some(Ranging::read(anchors, aids.range_errors)?);
+        if let Some(anchors) = &aids.setup.anchors {
+            choice.fixes.ranging = Some(Ranging::read(anchors, aids.setup.range_errors)?);
         }
-        let from = match (&aids.fixes, &aids.ranges, &aids.anchors) {
+        let from = match (&aids.fixes, &aids.ranges, &aids.setup.anchors) {
             (Some(from), ..) | (_, Some(from), _) => from,
             (.., Some(_)) => {
                 let remedy = "give the ranges: --ranges FILE or LINK";
-                return Err(usage("--anchors beside a board needs ranges", remedy));
+                return Err(usage("anchors beside a board needs ranges", remedy));
             }
             _ => return Ok(Self::None),
         };
         if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
             let ranging = choice.fixes.ranging.clone();
-            return Ok(Self::Link(Box::new(FixLink::open(&url, aids.fix_delay, ranging)?)));
+            return Ok(Self::Link(Box::new(FixLink::open(&url, aids.setup.fix_delay_s, ranging)?)));
         }
-        let Some(anchors) = &aids.anchors else {
+        let Some(anchors) = &aids.setup.anchors else {
             return Ok(Self::Table(fixes, Vec::new()));
         };
-        let read = RangeRecording::read(from, anchors)?.delayed(aids.fix_delay);
+        let read = RangeRecording::read(from, anchors)?.delayed(aids.setup.fix_delay_s);
         let fixes = read.ranges.into_iter().map(Fix::from).collect();
         Ok(Self::Table(fixes, read.findings))
     }
@@ -156,7 +156,7 @@ impl Aiding {
     fn late_s(&self, aids: &Aids) -> f64 {
         match self {
             Self::None => 0.0,
-            _ => (aids.fix_delay + LATE_S).clamp(LATE_S, MOST_LATE_S),
+            _ => (aids.setup.fix_delay_s + LATE_S).clamp(LATE_S, MOST_LATE_S),
         }
     }
 

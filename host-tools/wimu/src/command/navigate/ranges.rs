@@ -1,4 +1,4 @@
-//! `wimu navigate --anchors`: ranges, alone, with wheel odometry or with an inertial sensor.
+//! `wimu navigate --setup anchors=…`: ranges, alone, with wheel odometry or with an inertial sensor.
 
 use std::path::Path;
 
@@ -20,7 +20,8 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
         }
     }
     let ranges = arguments.aids.ranges.as_ref().unwrap_or(&arguments.input);
-    let mut recording = RangeRecording::read(ranges, anchors)?.delayed(arguments.aids.fix_delay);
+    let mut recording =
+        RangeRecording::read(ranges, anchors)?.delayed(arguments.aids.setup.fix_delay_s);
     if recording.planar {
         let text = "the anchors have no Position U (m): all heights are zero";
         recording.findings.push(Code::Navigation.note(text));
@@ -36,12 +37,12 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
     }
     let prior = |errors| RangePrior::of(&recording).with_errors(errors);
     let choice = LocalizationChoice {
-        limit_m: arguments.limit,
+        limit_m: arguments.limit_m(),
         smooth: arguments.smooth == Smoothing::On,
         start: arguments.start,
-        prior: arguments.aids.range_errors.map(prior),
-        survey_m: arguments.survey,
-        lever_arm_m: arguments.aids.lever_arm.unwrap_or_default(),
+        prior: arguments.aids.setup.range_errors.map(prior),
+        survey_m: arguments.aids.setup.survey_m,
+        lever_arm_m: arguments.aids.setup.lever_arm_m.unwrap_or_default(),
     };
     let path = localize(&recording, &choice)?;
     let source = wimu_host::untrusted::name(&arguments.input);

@@ -42,7 +42,10 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     };
     let files = [&arguments.input, other];
     let links = files.map(|file| Input::parse(&file.to_string_lossy()));
-    let choice = RelativeChoice { hinge: arguments.hinge, magnetometers: arguments.magnetometers };
+    let choice = RelativeChoice {
+        hinge: arguments.aids.setup.hinge,
+        magnetometers: arguments.aids.setup.magnetometers,
+    };
     if let [Ok(Input::Link(a)), Ok(Input::Link(b))] = links {
         return live::run(arguments, [a, b], choice, output);
     }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::calibration::parameter_id;
+use crate::calibration::{Calibration, parameter_id};
 use serde::Serialize;
 use wimu_calib::{KnownDirection, Pose, align, straight_move};
 use wimu_model::ParameterSet;
@@ -98,16 +98,19 @@ pub struct FoundRest {
     pub up_m_s2: [f64; 3],
 }
 
-/// Aligns a sensor that is corrected by `set` with its body; the result replaces the
-/// alignment in `set`.
+/// Aligns a sensor that is corrected by `calibration` with its body; the result replaces the alignment in its parameters.
 ///
 /// Data that do not support an answer give a report with status `refused`.
+///
+/// # Errors
+/// Those of [`Calibration::parameters`] and [`SensorCalibration::compile`](crate::calibration::SensorCalibration::compile).
 pub fn alignment(
     data: &Samples<'_>,
-    set: &ParameterSet,
+    calibration: &Calibration,
     options: &AlignOptions,
-) -> AlignmentReport {
-    let forces = data.corrected(set);
+) -> Result<AlignmentReport> {
+    let set = &calibration.parameters()?;
+    let forces = data.corrected(calibration.sensor())?;
     let rests = data.rests(&forces);
     let outcome = directions(data, &forces, &rests, options)
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
@@ -145,7 +148,7 @@ pub fn alignment(
             report.parameters = Some(aligned);
         }
     }
-    report
+    Ok(report)
 }
 
 /// The known directions at the rests and between them.

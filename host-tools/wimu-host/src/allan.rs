@@ -5,10 +5,10 @@ mod page;
 mod sensor;
 
 pub use file::{noise, noise_of};
-pub use sensor::{GyroscopeAxis, SensorNoise};
+pub use sensor::{AxisNoise, Figure, Point, SensorNoise};
 
 use serde::Serialize;
-use wimu_calib::{AllanPoint, AllanVariance, AxisNoise, Measured};
+use wimu_calib::AllanVariance;
 use wimu_link::batch::Stream;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -16,105 +16,6 @@ use crate::decode::Event;
 use crate::problem::Outcome;
 use crate::recording::RateSource;
 use crate::{Code, Result};
-
-/// A number and its standard deviation, 1 σ.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Figure {
-    /// The number.
-    pub value: f64,
-    /// Its standard deviation.
-    pub sd: f64,
-    /// 95 % confidence interval.
-    pub interval_95: [f64; 2],
-}
-
-impl From<Measured> for Figure {
-    fn from(measured: Measured) -> Self {
-        Self { value: measured.value, sd: measured.sd, interval_95: measured.interval_95() }
-    }
-}
-
-/// The noise of an axis.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct AxisReport {
-    /// Noise density, one-sided as datasheets give it, m/s²/√Hz.
-    pub noise_density_m_s2_rthz: Figure,
-    /// Velocity random walk, the noise density / √2, m/s/√s.
-    pub velocity_random_walk_m_s_rts: Figure,
-    /// Bias instability, m/s²; `None` where the recording is too short to observe it.
-    pub bias_instability_m_s2: Option<Figure>,
-    /// Acceleration random walk, m/s²/√s, where it is observed.
-    pub acceleration_random_walk_m_s2_rts: Option<Figure>,
-    /// Linear drift, m/s² per s, where it is observed.
-    pub ramp_m_s3: Option<Figure>,
-    /// Whether bias instability and random walk are left out because a single event, not noise, dominates long times.
-    pub is_one_event: bool,
-    /// Quantisation noise, m/s, where it is observed.
-    pub quantisation_m_s: Option<Figure>,
-    /// Smallest Allan deviation, m/s².
-    pub floor_m_s2: f64,
-    /// Averaging time of the smallest deviation, s.
-    pub floor_tau_s: f64,
-    /// χ² per degree of freedom of the curve's residuals under the noise terms; 1 for noise.
-    pub misfit: f64,
-    /// False where hum or vibration is present.
-    pub is_noise: bool,
-    /// Averaging time from which a filtered output is white, s; the terms are estimated from there. `None` where it is not
-    /// filtered.
-    pub white_from_s: Option<f64>,
-    /// Standard deviation from one sample to the next, m/s².
-    pub sample_sd_m_s2: f64,
-    /// Smallest step of the output, m/s²: one count for counts.
-    pub step_m_s2: f64,
-    /// Whether that step is larger than the noise: then the figures are those of the quantisation.
-    pub is_coarse: bool,
-    /// Samples at the highest or lowest output in excess of the noise: the output is clipped.
-    pub clipped_samples: u64,
-}
-
-impl From<AxisNoise> for AxisReport {
-    fn from(noise: AxisNoise) -> Self {
-        Self {
-            noise_density_m_s2_rthz: noise.noise_density().into(),
-            velocity_random_walk_m_s_rts: noise.velocity_random_walk.into(),
-            bias_instability_m_s2: noise.bias_instability_mps2.map(Figure::from),
-            acceleration_random_walk_m_s2_rts: noise.acceleration_random_walk.map(Figure::from),
-            ramp_m_s3: noise.ramp_mps3.map(Figure::from),
-            is_one_event: noise.is_one_event,
-            quantisation_m_s: noise.quantisation_mps.map(Figure::from),
-            floor_m_s2: noise.floor_mps2,
-            floor_tau_s: noise.floor_tau_s,
-            misfit: noise.misfit,
-            is_noise: noise.is_noise(),
-            white_from_s: noise.white_from_s,
-            sample_sd_m_s2: noise.sample_sd_mps2,
-            step_m_s2: noise.step_mps2,
-            is_coarse: noise.is_coarse(),
-            clipped_samples: noise.clipped_samples,
-        }
-    }
-}
-
-/// One averaging time.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct PointReport {
-    /// τ, s.
-    pub tau_s: f64,
-    /// Allan deviation of X, Y, Z, m/s².
-    pub deviation_m_s2: [f64; 3],
-    /// Standard deviation of each, relative.
-    pub relative_sd: f64,
-}
-
-impl From<AllanPoint> for PointReport {
-    fn from(point: AllanPoint) -> Self {
-        Self {
-            tau_s: point.tau_s,
-            deviation_m_s2: point.deviation_mps2,
-            relative_sd: point.relative_sd(),
-        }
-    }
-}
 
 /// The JSON of `wimu allan`.
 #[derive(Clone, Debug, Serialize)]
@@ -130,15 +31,10 @@ pub struct NoiseReport {
     pub rate_hz: f64,
     /// Source of the rate.
     pub rate_source: RateSource,
-    /// The accelerometer, X, Y, Z.
-    pub axes: Option<[AxisReport; 3]>,
-    /// The gyroscope, X, Y, Z, where there is one whose unit is known.
-    pub gyroscope: Option<[GyroscopeAxis; 3]>,
-    /// The curve of the accelerometer.
-    pub points: Vec<PointReport>,
-    /// The accelerometer and the gyroscope in SI units, where they were measured.
-    #[serde(skip)]
-    pub sensors: [Option<SensorNoise>; 2],
+    /// The accelerometer.
+    pub accelerometer: Option<SensorNoise>,
+    /// The gyroscope, where there is one whose unit is known.
+    pub gyroscope: Option<SensorNoise>,
 }
 
 /// The noise of a board at rest, while its samples arrive.
@@ -281,39 +177,38 @@ impl NoiseReport {
             let text = "the noise densities scale with the square root of the assumed rate";
             outcome.findings.push(Code::Rate.note(text));
         }
-        let kinds = [&sensor::ACCELEROMETER, &sensor::GYROSCOPE];
-        let sensors =
-            [0, 1].map(|place: usize| match SensorNoise::of(allans[place]?, kinds[place]) {
-                Ok(sensor) => {
-                    outcome.findings.extend(sensor.findings());
-                    Some(sensor)
-                }
-                Err(refusal) if place == 1 && allans[0].is_some() => {
-                    let text = format!("the gyroscope's noise is not measured: {refusal}");
-                    outcome.findings.push(Code::NotNoise.warning(text));
-                    None
-                }
-                Err(refusal) => {
-                    outcome.refuse(refusal.to_string());
-                    None
-                }
-            });
-        let [force, rate] = &sensors;
+        let [force, rate] = allans;
+        let accelerometer = force.and_then(|allan| {
+            let measured = SensorNoise::of(allan, &sensor::ACCELEROMETER);
+            measured.map_err(|refusal| outcome.refuse(refusal.to_string())).ok()
+        });
+        let gyroscope = rate.and_then(|allan| match SensorNoise::of(allan, &sensor::GYROSCOPE) {
+            Ok(measured) => Some(measured),
+            Err(refusal) if force.is_some() => {
+                let text = format!("the gyroscope's noise is not measured: {refusal}");
+                outcome.findings.push(Code::NotNoise.warning(text));
+                None
+            }
+            Err(refusal) => {
+                outcome.refuse(refusal.to_string());
+                None
+            }
+        });
+        let measured = accelerometer.iter().chain(&gyroscope);
+        outcome.findings.extend(measured.flat_map(SensorNoise::problems));
         Self {
             outcome,
             source: source.to_owned(),
-            samples: allans.into_iter().flatten().next().map_or(0, AllanVariance::samples),
+            samples: force.or(rate).map_or(0, AllanVariance::samples),
             rate_hz,
             rate_source,
-            axes: force.as_ref().map(|sensor| sensor.axes.map(AxisReport::from)),
-            gyroscope: rate.as_ref().map(|sensor| sensor.axes.map(GyroscopeAxis::from)),
-            points: force.as_ref().map(|sensor| sensor.points.clone()).unwrap_or_default(),
-            sensors,
+            accelerometer,
+            gyroscope,
         }
     }
 
     /// The sensors that were measured.
     pub fn measured(&self) -> impl Iterator<Item = &SensorNoise> {
-        self.sensors.iter().flatten()
+        self.accelerometer.iter().chain(&self.gyroscope)
     }
 }

@@ -9,6 +9,8 @@ pub(crate) mod number;
 
 use std::io::Write;
 
+use serde::{Deserialize, Serialize};
+
 use crate::{Code, Problem, Result};
 
 /// The column of times.
@@ -26,11 +28,13 @@ pub fn axes(sensor: &str, unit: &str) -> [String; 3] {
 }
 
 /// Unit of all accelerometer columns of a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AccelerationUnit {
     /// Raw counts.
+    #[serde(rename = "LSB")]
     Lsb,
     /// m/s².
+    #[serde(rename = "m/s²")]
     Mps2,
 }
 

@@ -4,5 +4,5 @@
 mod poses;
 mod session;
 
-pub use poses::{LivePoses, News, Plan, Uncertainty};
+pub use poses::{Guidance, LivePoses, News, Plan, Uncertainty};
 pub use session::{DEFAULT_FILE, Guided, GuidedView, Hold, MORE, poses_file, push, unit};

@@ -4,9 +4,10 @@ use wimu_integrator::{Config, Integrator, Navigation, Phase};
 use wimu_link::message::{self, Epoch};
 use wimu_model::{
     AngularRateQ20, CentiCelsius, DeviceTimeUs, MagneticFieldNt, ParameterSet, PeriodNs,
-    PositionNm, SpecificForceMps2, SpecificForceQ16, VelocityNmps,
+    PositionNm, SpecificForceQ16, VelocityNmps,
 };
 
+use crate::calibration;
 use crate::capture::Boot;
 use crate::decode::TimedSample;
 use crate::motion::{MotionRecording, UnitSample};
@@ -259,7 +260,7 @@ fn widen(
     let Some(track) = merge.recording.first(Quantity::SpecificForce) else {
         return Ok(());
     };
-    let part = Part::from(boot);
+    let (part, correction) = (Part::from(boot), calibration::Correction::from(&set));
     let mut rows = track.times_ns().iter().enumerate().peekable();
     for (time_s, sample) in motion.times_s.iter().zip(&mut motion.samples) {
         let time_us = (time_s * 1e6).round() as u64;
@@ -272,10 +273,9 @@ fn widen(
             continue;
         };
         let celsius = part.environment_at(DeviceTimeUs(time_us));
-        let celsius = celsius.and_then(|known| known.temperature_centi_c.map(CentiCelsius));
-        let output = SpecificForceMps2(counts.map(|axis| axis * set.sensitivity.mps2_per_lsb()));
-        let force = set.model.correct(output, celsius).0;
-        sample.force_mps2 = set.alignment.rotate(force);
+        let celsius = celsius.and_then(|known| known.temperature_centi_c);
+        let celsius = celsius.map(|centi| f64::from(centi) * 1e-2);
+        sample.force_mps2 = correction.sample(counts, celsius);
     }
     motion.full_scale_mps2 = track.info.full_scale.map(|full| full * BEYOND_RANGE / G);
     motion.findings.extend(merge.findings);

@@ -1,6 +1,7 @@
 //! Alignment of a sensor with its body: temperature, and the push that tells ahead.
 
 use wimu_host::alignment::{AlignOptions, AlignmentReport, alignment};
+use wimu_host::calibration::Calibration;
 use wimu_host::problem::Outcome;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{
@@ -26,8 +27,9 @@ fn warm() -> ParameterSet {
 /// tenth row only, where it is known.
 fn cold(told: bool) -> Recording {
     let mut recording = Recording::new("cold");
-    let force = TrackInfo::new("cold", Quantity::SpecificForce, Unit::Si);
-    let force = recording.track(force);
+    let lsb_mps2 = warm().sensitivity.mps2_per_lsb();
+    let counts = Unit::Counts { si_per_lsb: Some(lsb_mps2) };
+    let force = recording.track(TrackInfo::new("cold", Quantity::SpecificForce, counts));
     let celsius = TrackInfo::new("cold", Quantity::Temperature, Unit::Si);
     let celsius = recording.track(celsius);
     for k in 0..1100_u32 {
@@ -37,7 +39,7 @@ fn cold(told: bool) -> Recording {
         let at = Some(CentiCelsius::from_celsius(5.0));
         let sensed = warm().model.distort(SpecificForceMps2(up), at);
         let time_ns = i64::from(k) * 10_000_000;
-        recording.row(force, time_ns, &sensed.0);
+        recording.row(force, time_ns, &sensed.0.map(|axis| axis / lsb_mps2));
         if told && k % 10 == 3 {
             recording.row(celsius, time_ns, &[5.0]);
         }
@@ -46,7 +48,8 @@ fn cold(told: bool) -> Recording {
 }
 
 fn aligned(data: &Recording, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
-    alignment(&data.samples(Selection::default()).unwrap(), set, options)
+    let calibration = Calibration::held(set);
+    alignment(&data.samples(Selection::default()).unwrap(), &calibration, options).unwrap()
 }
 
 #[test]
@@ -82,8 +85,9 @@ fn pushed(peak: f64, seconds: f64, stands: [f64; 2], turned: bool) -> Recording 
     let turns_at = before + seconds + after;
     let length = turns_at + if turned { 4.0 } else { 0.0 };
     let mut recording = Recording::new("pushed");
-    let force = TrackInfo::new("pushed", Quantity::SpecificForce, Unit::Si);
-    let force = recording.track(force);
+    let lsb_mps2 = warm().sensitivity.mps2_per_lsb();
+    let counts = Unit::Counts { si_per_lsb: Some(lsb_mps2) };
+    let force = recording.track(TrackInfo::new("pushed", Quantity::SpecificForce, counts));
     for k in 0..(100.0 * length) as u32 {
         let t = f64::from(k) * 0.01;
         let u = ((t - before) / seconds).clamp(0.0, 1.0);
@@ -92,7 +96,8 @@ fn pushed(peak: f64, seconds: f64, stands: [f64; 2], turned: bool) -> Recording 
         let ahead = peak * (std::f64::consts::TAU * u).sin();
         let up = [turn.sin(), 0.0, turn.cos()].map(|up| 9.80665 * up + rough);
         let time_ns = i64::from(k) * 10_000_000;
-        recording.row(force, time_ns, &[up[0] + ahead, up[1], up[2]]);
+        let output = [up[0] + ahead, up[1], up[2]].map(|axis| axis / lsb_mps2);
+        recording.row(force, time_ns, &output);
     }
     recording
 }

@@ -5,8 +5,7 @@ use std::path::Path;
 use wimu_calib::Orientation;
 use wimu_host::calibration::parameter_id;
 use wimu_host::calibration::{
-    self, CalibrateOptions, CalibrationFile, CalibrationReport, Session, further_sensors,
-    read_model, read_parameters, sessions,
+    self, CalibrateOptions, Calibration, CalibrationReport, Session, read_parameters,
 };
 use wimu_host::capture::Link;
 use wimu_host::decode::Decoder;
@@ -75,8 +74,8 @@ fn a_calibration_file_comes_back_bit_for_bit_and_others_are_refused() {
         let set = read_parameters(path).unwrap();
         assert_eq!(Some(set), report.parameters);
         assert_eq!(report.parameter_id, Some(parameter_id(&set).to_string()));
-        let model = read_model(path).unwrap();
-        assert_eq!((model.model, model.of_counts), (set.model, true));
+        let calibration = Calibration::read(path).unwrap();
+        assert_eq!(calibration.sensor().accelerometer.model, set.model);
     };
     report.file.as_ref().unwrap().write(&path).unwrap();
     same(&path);
@@ -124,26 +123,25 @@ fn a_file_holds_several_sensors_and_the_sessions_of_each() {
     let report = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let first = report.parameters.unwrap();
     let second = six_axes(&first);
-    let mut file = CalibrationFile::new(&second, &[], "second.csv");
+    let file = Calibration::new(&second, &[], "second.csv");
     file.write(&path).unwrap();
     assert_eq!(read_parameters(&path).unwrap(), second);
-    let before = sessions(Some(&path), &second);
+    let sessions = |file: &Calibration| file.sensor().accelerometer.sessions.clone();
+    let before = sessions(&Calibration::read(&path).unwrap());
     let poses = first.quality.unwrap().terms().poses;
     let session = Session { utc_s: None, file: Some("second.csv".to_owned()), poses };
     assert_eq!(before, [session]);
     // Without new poses the sessions stay; with some there is another.
-    let again = CalibrationFile::new(&second, &before, "third.csv");
-    assert_eq!(again.sensors[0].accelerometer.sessions, before);
+    assert_eq!(sessions(&Calibration::new(&second, &before, "third.csv")), before);
     let more = [Session { poses: 3, ..before[0].clone() }];
-    let updated = &CalibrationFile::new(&second, &more, "third.csv").sensors[0];
-    assert_eq!(updated.accelerometer.sessions.len(), 2);
-    assert_eq!(updated.accelerometer.sessions[1].poses, poses - 3);
+    let updated = sessions(&Calibration::new(&second, &more, "third.csv"));
+    assert_eq!((updated.len(), updated[1].poses), (2, poses - 3));
     // A board takes the set of sensor 0, wherever it stands.
-    file.sensors.extend(report.file.unwrap().sensors);
-    assert!(further_sensors(&path).is_empty());
+    assert!(file.further().is_empty());
+    let file = file.and(report.file.unwrap());
     file.write(&path).unwrap();
     assert_eq!(read_parameters(&path).unwrap(), first);
-    assert_eq!(further_sensors(&path), [1]);
+    assert_eq!(file.further(), [1]);
     let good = std::fs::read_to_string(&path).unwrap();
     for (value, bad, part) in [
         ("\"range_dps\": 500", "\"range_dps\": 0", "gyroscope range"),

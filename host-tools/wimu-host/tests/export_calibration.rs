@@ -5,8 +5,9 @@ use std::path::Path;
 use std::process::Command;
 
 use wimu_host::calibration::{
-    CalibrationExport, CalibrationFile, ExportTarget, KalibrNoise, KalibrTerms,
+    Calibration, CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms,
 };
+use wimu_host::csv::AccelerationUnit;
 use wimu_model::{
     Alignment, CentiCelsius, Corrector, ErrorModel, ErrorTerms, GyroscopeModel,
     GyroscopeParameters, GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet,
@@ -47,10 +48,10 @@ fn set() -> ParameterSet {
 
 /// The export of `set`, of counts or of output in m/s².
 fn export(set: &ParameterSet, of_counts: bool, folder: &Path) -> CalibrationExport {
-    let mut file = CalibrationFile::new(set, &[], "poses.csv");
+    let mut file = Calibration::new(set, &[], "poses.csv");
     if !of_counts {
-        let accelerometer = &mut file.sensors[0].accelerometer;
-        accelerometer.unit = "m/s²".to_owned();
+        let accelerometer = &mut file.sensor_mut().accelerometer;
+        accelerometer.unit = AccelerationUnit::Mps2;
         (accelerometer.range_g, accelerometer.sensitivity_lsb_per_g) = (None, None);
     }
     let path = folder.join("CAL.json");

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::process::Command;
 
 use serde_json::Value;
-use wimu_host::apply::Correction;
-use wimu_host::calibration::{CalibrationFile, read_model};
+use wimu_host::apply::CorrectedRecording;
+use wimu_host::calibration::Calibration;
 use wimu_host::inertial::{Choice, navigate};
 use wimu_host::motion::MotionRecording;
 use wimu_host::motion::UnitSample;
@@ -91,9 +91,8 @@ fn a_path_is_read_with_odometry_and_transforms() {
 #[test]
 fn corrected_samples_are_read_with_covariances() {
     let folder = tempfile::tempdir().unwrap();
-    let [file, cal] = ["imu.mcap", "CAL.json"].map(|name| folder.path().join(name));
+    let file = folder.path().join("imu.mcap");
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(1000.0).unwrap());
-    CalibrationFile::new(&set, &[], "poses.csv").write(&cal).unwrap();
     let mut recording = Recording::new("a");
     let counts = Unit::Counts { si_per_lsb: None };
     let force = recording.track(TrackInfo::new("acc", Quantity::SpecificForce, counts));
@@ -107,9 +106,9 @@ fn corrected_samples_are_read_with_covariances() {
             recording.row(field, time_ns, &[2e-5, k as f64 * 1e-6, 4e-5]);
         }
     }
-    let calibration = read_model(&cal).unwrap();
-    let correction = Correction::new(&calibration, &recording).unwrap();
-    assert_eq!(correction.write(&file).unwrap(), 50);
+    let calibration = Calibration::new(&set, &[], "poses.csv");
+    let corrected = CorrectedRecording::new(calibration.sensor(), &recording).unwrap();
+    assert_eq!(corrected.write(&file).unwrap(), 50);
     let Some(topics) = read(&file) else { return };
     assert_eq!((topics["/imu/data"].len(), topics["/imu/mag"].len()), (50, 5));
     let imu = numbers(&topics["/imu/data"][49]);

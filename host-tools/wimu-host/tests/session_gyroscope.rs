@@ -64,8 +64,30 @@ fn the_gyroscope_of_a_session_is_in_the_report_and_the_file() {
         let error = (found.model.matrix[axis][axis] - truth).abs();
         assert!(error < 5.0 * found.sd[3 + 4 * axis] && error < 0.005, "{axis}: {error} {found:?}");
     }
-    let stored = report.file.unwrap().model("CAL.json".as_ref()).unwrap();
-    assert_eq!(stored.gyroscope.unwrap().model.terms(), &found.model);
+    let stored = report.file.unwrap().sensor().gyroscope.unwrap();
+    assert_eq!(stored.model.terms(), &found.model);
+}
+
+#[test]
+fn counts_of_unknown_unit_are_those_of_a_usual_sensitivity() {
+    let unit = Unit::Counts { si_per_lsb: None };
+    let report = calibrated(&session(unit, |w| w.map(|w| (w.to_degrees() * 65.5).round())));
+    let found = report.gyroscope.as_ref().expect("a gyroscope");
+    assert!((found.model.matrix[0][0] - 1.01).abs() < 0.01, "{found:?}");
+    let texts = report.outcome.findings.iter().map(|problem| problem.text.as_str());
+    assert!(texts.clone().any(|text| text.contains("65.5 LSB per °/s")), "{report:?}");
+    // It shows swapped axes.
+    assert!(!texts.clone().any(|text| text.contains("cannot be detected")), "{report:?}");
+}
+
+#[test]
+fn scale_factors_ten_percent_off_are_found() {
+    let report = calibrated(&session(Unit::Si, |w| w.map(|w| 1.1 * w)));
+    let found = report.gyroscope.as_ref().expect("a gyroscope");
+    for (axis, truth) in [1.111, 1.089, 1.1].into_iter().enumerate() {
+        let error = (found.model.matrix[axis][axis] - truth).abs();
+        assert!(error < 0.005, "{axis}: {error} {found:?}");
+    }
 }
 
 #[test]

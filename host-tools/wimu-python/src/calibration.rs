@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use pyo3::prelude::*;
 use wimu_calib::Face;
 use wimu_host::calibration::{
-    self, CalibrateOptions, CalibrationFile, CalibrationReport, Fit, MethodChoice, StoredModel,
+    self, CalibrateOptions, CalibrationReport, Fit, MethodChoice, SensorCalibration,
 };
 use wimu_host::recording::Selection;
 use wimu_model::ParameterSet;
@@ -23,7 +23,7 @@ const SIDES: [&str; 6] = ["x", "-x", "y", "-y", "z", "-z"];
 pub struct Calibration {
     report: CalibrationReport,
     fit: Fit,
-    file: CalibrationFile,
+    file: calibration::Calibration,
 }
 
 #[pymethods]
@@ -146,6 +146,7 @@ pub fn calibrate(
         range_g,
         placement_sd_deg: placement_sd,
         datasheet: sensor_model.map(calibration::datasheet).transpose()?,
+        target_mps2: None,
         utc_s: now.ok().map(|since| since.as_secs()),
     };
     let selection = Selection { accelerometer, poses: source.options().poses };
@@ -170,12 +171,12 @@ pub enum Correction {
 }
 
 impl Correction {
-    /// The error model.
-    pub fn model(&self) -> wimu_host::Result<StoredModel> {
-        match self {
-            Self::Calibration(held) => held.get().file.model(held.get().report.source.as_ref()),
-            Self::Path(path) => calibration::read_model(path),
-        }
+    /// The calibration of the sensor.
+    pub fn sensor(&self) -> wimu_host::Result<SensorCalibration> {
+        Ok(match self {
+            Self::Calibration(held) => held.get().file.sensor().clone(),
+            Self::Path(path) => calibration::Calibration::read(path)?.sensor().clone(),
+        })
     }
 
     /// The parameters of a board.

@@ -32,8 +32,8 @@ pub fn apply(
 ) -> Result<Corrected> {
     let (rows, findings) = py.detach(|| {
         let data = source.data()?;
-        let model = calibration.model()?;
-        let applied = correction::Correction::new(&model, &data)?;
+        let sensor = calibration.sensor()?;
+        let applied = correction::CorrectedRecording::new(&sensor, &data)?;
         if let Some(path) = output {
             applied.write(&path)?;
         }

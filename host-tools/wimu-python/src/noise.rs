@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use pyo3::prelude::*;
-use wimu_calib::{AxisNoise, Measured};
-use wimu_host::allan::{NoiseReport, SensorNoise, noise_of};
+use wimu_host::allan::{AxisNoise, NoiseReport, SensorNoise, noise_of};
 use wimu_host::html::ToDocument;
 use wimu_model::Sensitivity;
 
@@ -37,32 +36,32 @@ impl Noise {
     /// Allan deviation, m/s², shape (k, 3).
     #[getter]
     fn deviation(&self, py: Python<'_>) -> Result<Array2> {
-        table(py, self.sensor.points.iter().map(|point| point.deviation_m_s2))
+        table(py, self.sensor.points.iter().map(|point| point.deviation))
     }
 
     /// Standard deviation of `deviation`, m/s².
     #[getter]
     fn deviation_sd(&self, py: Python<'_>) -> Result<Array2> {
         let points = self.sensor.points.iter();
-        table(py, points.map(|point| point.deviation_m_s2.map(|axis| axis * point.relative_sd)))
+        table(py, points.map(|point| point.deviation.map(|axis| axis * point.relative_sd)))
     }
 
     /// One-sided noise density, m/s²/√Hz.
     #[getter]
     fn noise_density(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.noise_density().value))
+        self.term(py, |axis| Some(axis.noise_density.value))
     }
 
     /// Standard deviation of `noise_density`.
     #[getter]
     fn noise_density_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.noise_density().sd))
+        self.term(py, |axis| Some(axis.noise_density.sd))
     }
 
     /// Velocity random walk, m/s/√s.
     #[getter]
     fn velocity_random_walk(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.velocity_random_walk.value))
+        self.term(py, |axis| Some(axis.random_walk.value))
     }
 
     /// Angle random walk of a gyroscope, rad/s/√Hz.
@@ -74,26 +73,26 @@ impl Noise {
     /// Standard deviation of `angle_random_walk`.
     #[getter]
     fn angle_random_walk_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| Some(axis.velocity_random_walk.sd))
+        self.term(py, |axis| Some(axis.random_walk.sd))
     }
 
     /// The noise of the gyroscope beside the accelerometer, or of the gyroscope alone; `None` without one.
     #[getter]
     fn gyroscope(&self) -> Option<Self> {
-        let sensor = self.report.sensors[1].clone()?;
+        let sensor = self.report.gyroscope.clone()?;
         Some(Self { report: self.report.clone(), sensor })
     }
 
     /// Bias instability, m/s².
     #[getter]
     fn bias_instability(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| axis.bias_instability_mps2.map(|Measured { value, .. }| value))
+        self.term(py, |axis| axis.bias_instability.map(|figure| figure.value))
     }
 
     /// Standard deviation of `bias_instability`.
     #[getter]
     fn bias_instability_sd(&self, py: Python<'_>) -> Array1 {
-        self.term(py, |axis| axis.bias_instability_mps2.map(|Measured { sd, .. }| sd))
+        self.term(py, |axis| axis.bias_instability.map(|figure| figure.sd))
     }
 
     /// Sample rate, Hz.

@@ -254,7 +254,7 @@ fn motion(
         return navigation::motion(&recording.name, boot, parameters.as_ref());
     }
     let options = TableOptions {
-        calibration: calibration.map(Correction::model).transpose()?,
+        calibration: calibration.map(Correction::sensor).transpose()?,
         sensitivity_lsb_per_g,
     };
     let data = source.data()?;

@@ -32,14 +32,14 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
     };
     let fine = run(at_rest(|f| f, "m/s²")).succeeds();
     assert_eq!(fine["problems"].as_array().unwrap().len(), 0, "{fine}");
-    assert_eq!(fine["axes"][0]["is_coarse"], false);
+    assert_eq!(fine["accelerometer"]["axes"][0]["is_coarse"], false);
 
     texts.refuses("g called m/s²", &run(at_rest(|f| f / 9.80665, "m/s²")));
     texts.refuses("m/s² called g", &run(at_rest(|f| f, "g")));
 
     let ran = run(at_rest(|f| (f / 0.04).round() * 0.04, "m/s²"));
     let coarse = texts.findings("steps of 0.04 m/s²", &ran);
-    assert_eq!(coarse["axes"][2]["is_coarse"], true, "{coarse}");
+    assert_eq!(coarse["accelerometer"]["axes"][2]["is_coarse"], true, "{coarse}");
     texts.findings("clipped", &run(at_rest(|f| f.min(9.81), "m/s²")));
     texts.check("allan_units_and_steps");
 }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use kit::fleet::{Boards, Foreign, Gateway, Mosquitto, Tape, client, files, name};
 use kit::{Background, Simulator, folder, wait_until, wimu};
 use serde_json::json;
-use wimu_host::calibration::CalibrationFile;
+use wimu_host::calibration::Calibration;
 use wimu_host::fleet::Batch;
 use wimu_host::fleet::mqtt::{Heard, Mqtt, MqttConfig};
 use wimu_host::fleet::state::GatewayState;
@@ -178,7 +178,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
     let calibrations = folder.path().join("calibrations");
     fs::create_dir(&calibrations).unwrap();
-    CalibrationFile::new(&set, &[], "").write(&calibrations.join("b.json")).unwrap();
+    Calibration::new(&set, &[], "").write(&calibrations.join("b.json")).unwrap();
     let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
     let push = ["fleet", "push", &fleet, calibrations.to_str().unwrap()];
     wimu(&push).fails(4, "key_needed");
@@ -221,7 +221,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
 /// A calibration of bias and no device, and the same that names one.
 fn calibration(file: &Path, device_id: Option<u64>) {
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
-    CalibrationFile::new(&set, &[], "").of_device(device_id).write(file).unwrap();
+    Calibration::new(&set, &[], "").of_device(device_id).write(file).unwrap();
 }
 
 #[test]

@@ -28,8 +28,8 @@ fn allan_listens_to_a_board_for_a_time_or_until_ctrl_c() {
     let board = Simulator::start(&["--motion", "rest", "--seed", &seed, "--speed", "20"]);
     let timed = wimu(&["allan", &board.cable, "--for", "3"]).succeeds();
     // 220 µg/√Hz and what rounding to 12 bits adds.
-    for axis in timed["axes"].as_array().unwrap() {
-        let density = &axis["noise_density_m_s2_rthz"];
+    for axis in timed["accelerometer"]["axes"].as_array().unwrap() {
+        let density = &axis["noise_density"];
         let [value, sd] = ["value", "sd"].map(|key| density[key].as_f64().unwrap());
         assert!((value - 220e-6 * 9.80665).abs() < 0.15 * value + 4.0 * sd, "{timed}");
         let interval = density["interval_95"].as_array().unwrap();

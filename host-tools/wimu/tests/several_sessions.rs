@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use kit::{Transcript, folder, noise, spread, wimu};
-use wimu_host::calibration::read_model;
+use wimu_host::calibration::Calibration;
 use wimu_host::motion::{MotionRecording, TableOptions};
 
 /// Pose means of a session, m/s², bias X and temperature as given.
@@ -30,7 +30,7 @@ fn session(folder: &Path, name: &str, celsius: f64, bias: f64, poses: u32) -> St
 /// Turn-on bias that navigation adds to a calibration, m/s².
 fn turn_on_added(csv: &str, cal: &str) -> f64 {
     let options = TableOptions {
-        calibration: Some(read_model(Path::new(cal)).unwrap()),
+        calibration: Some(Calibration::read(Path::new(cal)).unwrap().sensor().clone()),
         ..TableOptions::default()
     };
     let axes = ["X", "Y", "Z"].map(|axis| format!("Accelerometer {axis} (m/s²)"));

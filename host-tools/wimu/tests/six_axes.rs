@@ -9,7 +9,7 @@ use std::path::Path;
 
 use kit::{folder, wimu};
 use serde_json::Value;
-use wimu_host::calibration::{CalibrationFile, StoredModel, parameter_id, source};
+use wimu_host::calibration::{Calibration, parameter_id, source};
 use wimu_host::capture::{Boot, Link};
 use wimu_host::decode::{Decoder, LinkStatistics, TimedSample};
 use wimu_host::mcap_file::{ClockAnchor, RecordingWriter};
@@ -494,18 +494,8 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let none = none.fails(2, "no_rows");
     assert!(none["remedy"].as_str().unwrap().contains("[0, 1]"), "{none}");
 
-    let set = parameters();
     let options = TableOptions {
-        calibration: Some(StoredModel {
-            model: set.model,
-            sensitivity_lsb_per_g: Some(LSB_PER_G),
-            of_counts: true,
-            covariance: None,
-            of_sessions: false,
-            alignment: set.alignment,
-            magnetometer: None,
-            gyroscope: set.gyroscope,
-        }),
+        calibration: Some(Calibration::held(&parameters()).sensor().clone()),
         ..TableOptions::default()
     };
     let motion = MotionRecording::from_csv_with(Path::new(&raw_path), &options).unwrap();
@@ -614,7 +604,7 @@ fn a_calibration_exported_for_a_device_is_the_set_that_the_device_compiles() {
     let folder = folder();
     let [calibration, out] =
         ["CAL.json", "sensor.wimu"].map(|name| folder.path().join(name).display().to_string());
-    CalibrationFile::new(&parameters(), &[], "").write(Path::new(&calibration)).unwrap();
+    Calibration::new(&parameters(), &[], "").write(Path::new(&calibration)).unwrap();
     let report = wimu(&["convert", &calibration, "--to", "device", "-o", &out]).succeeds();
     let bytes = fs::read(&out).unwrap();
     assert_eq!(report["bytes"], bytes.len());

@@ -1,6 +1,6 @@
 //! Heading from a magnetometer that was calibrated on the board itself.
 
-use wimu_host::calibration::{CalibrateOptions, calibrate, calibrate_magnetometer};
+use wimu_host::calibration::{CalibrateOptions, Calibration, calibrate, calibrate_magnetometer};
 use wimu_host::monitor::Heading;
 use wimu_host::recording::{Recording, Selection};
 use wimu_integrator::Phase;
@@ -26,7 +26,7 @@ fn calibrated(seed: u64) -> ParameterSet {
     let data = data.samples(Selection::default()).unwrap();
     let accelerometer = calibrate(&data, &CalibrateOptions::default()).unwrap();
     let set = accelerometer.parameters.expect("calibrated");
-    let both = calibrate_magnetometer(&data, &set, None).unwrap();
+    let both = calibrate_magnetometer(&data, &Calibration::held(&set), None).unwrap();
     both.parameters.expect("calibrated")
 }
 

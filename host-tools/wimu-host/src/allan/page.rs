@@ -2,10 +2,10 @@
 
 use std::f64::consts::{LN_2, PI};
 
-use wimu_calib::{AxisNoise, Measured};
+use wimu_calib::Measured;
 
-use super::sensor::{Kind, SensorNoise};
-use super::{Figure, NoiseReport};
+use super::sensor::Kind;
+use super::{AxisNoise, Figure, NoiseReport, SensorNoise};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
 use crate::html::{Report, ToDocument};
@@ -54,17 +54,17 @@ impl SensorNoise {
         head.insert(0, self.kind.name);
         let rows = self.axes.iter().zip(AXES).map(|(axis, name)| {
             let floor =
-                format!("σ falls to {} at {:.0} s", bias.number(axis.floor_mps2), axis.floor_tau_s);
-            let cell = |found: Option<Measured>, column: usize| {
+                format!("σ falls to {} at {:.0} s", bias.number(axis.floor), axis.floor_tau_s);
+            let cell = |found: Option<Figure>, column: usize| {
                 found.map_or("–".to_owned(), |found| columns[column].1.text(found))
             };
             vec![
                 name.to_owned(),
-                cell(Some(axis.noise_density()), 0),
-                cell(Some(axis.velocity_random_walk), 1),
-                axis.bias_instability_mps2.map_or(floor, |found| bias.text(found)),
-                cell(axis.acceleration_random_walk, 3),
-                cell(axis.ramp_mps3, 4),
+                cell(Some(axis.noise_density), 0),
+                cell(Some(axis.random_walk), 1),
+                axis.bias_instability.map_or(floor, |found| bias.text(found)),
+                cell(axis.bias_random_walk, 3),
+                cell(axis.drift, 4),
             ]
         });
         let name = format!("Noise of the {} (density one-sided)", self.kind.name);
@@ -75,7 +75,7 @@ impl SensorNoise {
     fn curve(&self, document: &mut Report) {
         let unit = &self.kind.deviation;
         let rows = self.points.iter().map(|point| {
-            let [x, y, z] = point.deviation_m_s2.map(|d| significant(d * unit.per_si, 4));
+            let [x, y, z] = point.deviation.map(|d| significant(d * unit.per_si, 4));
             let share = format!("{:.1}", point.relative_sd * 100.0);
             vec![format!("{:.3}", point.tau_s), x, y, z, share]
         });
@@ -96,15 +96,15 @@ impl SensorNoise {
         let points = &self.points;
         let band = |axis: usize| {
             let points = points.iter().map(|point| {
-                let value = point.deviation_m_s2[axis];
+                let value = point.deviation[axis];
                 let sd = value * point.relative_sd;
-                let [low, high] = Figure::from(Measured { value, sd }).interval_95;
+                let [low, high] = Measured { value, sd }.interval_95();
                 (point.tau_s, low, high)
             });
             Band { series: axis, points: points.collect() }
         };
         let line = |axis: usize| {
-            let points = points.iter().map(|p| (p.tau_s, p.deviation_m_s2[axis]));
+            let points = points.iter().map(|p| (p.tau_s, p.deviation[axis]));
             Series::line(AXES[axis], points.collect())
         };
         let title = format!("Allan deviation of the {}, with its 95 % band", self.kind.name);
@@ -124,17 +124,17 @@ type Term<'a> = &'a dyn Fn(&AxisNoise, f64) -> Option<f64>;
 /// The slopes of the noise terms in the geometric mean of the axes, over these averaging times, s. Without a bias
 /// instability the level of the smallest deviation is shown, without a random walk a line through its end.
 fn slopes(axes: &[AxisNoise; 3], ends_s: [f64; 2]) -> Vec<Series> {
-    let white: Term<'_> = &|axis, tau_s| Some(axis.velocity_random_walk.value / tau_s.sqrt());
+    let white: Term<'_> = &|axis, tau_s| Some(axis.random_walk.value / tau_s.sqrt());
     let bias: Term<'_> = &|axis, _| {
         let factor = (2.0 * LN_2 / PI).sqrt();
-        Some(factor * axis.bias_instability_mps2?.value)
+        Some(factor * axis.bias_instability?.value)
     };
-    let floor: Term<'_> = &|axis, _| Some(axis.floor_mps2);
+    let floor: Term<'_> = &|axis, _| Some(axis.floor);
     let walk: Term<'_> = &|axis, tau_s| {
-        let density = axis.acceleration_random_walk?.value;
+        let density = axis.bias_random_walk?.value;
         Some(density * (tau_s / 3.0).sqrt())
     };
-    let from_floor: Term<'_> = &|axis, tau_s| Some(axis.floor_mps2 * (tau_s / ends_s[1]).sqrt());
+    let from_floor: Term<'_> = &|axis, tau_s| Some(axis.floor * (tau_s / ends_s[1]).sqrt());
     let terms: [(&str, Term<'_>, &str, Term<'_>); 3] = [
         ("slope −½: white noise", white, "", white),
         ("slope 0: bias instability", bias, "slope 0: smallest deviation", floor),

@@ -1,13 +1,92 @@
-//! The noise of a sensor: an accelerometer or a gyroscope, in the units in which each is shown.
+//! The noise of a sensor, an accelerometer or a gyroscope: in SI units as data, in those of datasheets as text and picture.
 
 use serde::Serialize;
-use wimu_calib::{AllanVariance, AxisNoise, Measured, Refusal};
+use wimu_calib::{AllanPoint, AllanVariance, Measured, Refusal};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::{Figure, PointReport};
 use crate::{Code, Problem};
 
-/// Unit of a figure: its name, how many there are in an SI unit, and the decimals that are shown.
+/// A number and its standard deviation, 1 σ.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Figure {
+    /// The number.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sd: f64,
+    /// 95 % confidence interval.
+    pub interval_95: [f64; 2],
+    /// Their unit.
+    pub unit: &'static str,
+}
+
+impl Figure {
+    fn new(measured: Measured, unit: &'static str) -> Self {
+        let Measured { value, sd } = measured;
+        Self { value, sd, interval_95: measured.interval_95(), unit }
+    }
+}
+
+/// The noise of an axis. u is the unit of the sensor, m/s² or rad/s.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[non_exhaustive]
+pub struct AxisNoise {
+    /// Noise density, one-sided as datasheets give it, u/√Hz.
+    pub noise_density: Figure,
+    /// Velocity or angle random walk, the noise density / √2, u √s.
+    pub random_walk: Figure,
+    /// Bias instability, u; `None` where the recording is too short to observe it.
+    pub bias_instability: Option<Figure>,
+    /// Acceleration or rate random walk, u/√s, where it is observed.
+    pub bias_random_walk: Option<Figure>,
+    /// Linear drift, u/s, where it is observed.
+    pub drift: Option<Figure>,
+    /// Whether bias instability and random walk are left out because a single event, not noise, dominates long times.
+    pub is_one_event: bool,
+    /// Quantisation noise, u s, where it is observed.
+    pub quantisation: Option<Figure>,
+    /// Smallest Allan deviation, u.
+    pub floor: f64,
+    /// Averaging time of the smallest deviation, s.
+    pub floor_tau_s: f64,
+    /// χ² per degree of freedom of the curve's residuals under the noise terms; 1 for noise.
+    pub misfit: f64,
+    /// False where hum or vibration is present.
+    pub is_noise: bool,
+    /// Averaging time from which a filtered output is white, s; the terms are estimated from there. `None` where it is not
+    /// filtered.
+    pub white_from_s: Option<f64>,
+    /// Standard deviation from one sample to the next, u.
+    pub sample_sd: f64,
+    /// Smallest step of the output, u: one count for counts.
+    pub step: f64,
+    /// Whether that step is larger than the noise: then the figures are those of the quantisation.
+    pub is_coarse: bool,
+    /// Samples at the highest or lowest output in excess of the noise: the output is clipped.
+    pub clipped_samples: u64,
+}
+
+/// One averaging time.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Point {
+    /// τ, s.
+    pub tau_s: f64,
+    /// Allan deviation of X, Y, Z, in the unit of the sensor.
+    pub deviation: [f64; 3],
+    /// Standard deviation of each, relative.
+    pub relative_sd: f64,
+}
+
+impl From<AllanPoint> for Point {
+    fn from(point: AllanPoint) -> Self {
+        Self {
+            tau_s: point.tau_s,
+            deviation: point.deviation_mps2,
+            relative_sd: point.relative_sd(),
+        }
+    }
+}
+
+/// Unit in which a figure is shown: its name, how many there are in an SI unit, and the decimals.
 #[derive(Debug)]
 pub(super) struct Unit {
     pub name: &'static str,
@@ -26,20 +105,23 @@ impl Unit {
     }
 
     /// The same with its standard deviation.
-    pub fn text(&self, Measured { value, sd }: Measured) -> String {
+    pub fn text(&self, Figure { value, sd, .. }: Figure) -> String {
         format!("{} ± {}", self.number(value), self.number(sd))
     }
 }
 
-/// A kind of sensor, and how its noise is shown.
+/// A kind of sensor: SI units of its figures, and how they are shown.
 #[derive(Debug)]
 pub(super) struct Kind {
     pub name: &'static str,
+    /// u.
     pub si: &'static str,
+    /// Of noise density, random walk, random walk of the bias, drift and quantisation.
+    si_terms: [&'static str; 5],
     /// Before the name of an axis.
     prefix: &'static str,
     pub density: Unit,
-    /// N, and K, with their names.
+    /// Random walk, and that of the bias, with their names.
     pub white: (&'static str, Unit),
     pub walk: (&'static str, Unit),
     pub bias: Unit,
@@ -54,6 +136,7 @@ const DEG: f64 = 180.0 / std::f64::consts::PI;
 pub(super) static ACCELEROMETER: Kind = Kind {
     name: "accelerometer",
     si: "m/s²",
+    si_terms: ["m/s²/√Hz", "m/s/√s", "m/s²/√s", "m/s³", "m/s"],
     prefix: "",
     density: Unit::new("µg/√Hz", UG, 1),
     white: ("velocity random walk", Unit::new("mm/s/√s", 1e3, 3)),
@@ -66,6 +149,7 @@ pub(super) static ACCELEROMETER: Kind = Kind {
 pub(super) static GYROSCOPE: Kind = Kind {
     name: "gyroscope",
     si: "rad/s",
+    si_terms: ["rad/s/√Hz", "rad/√s", "rad/s/√s", "rad/s²", "rad"],
     prefix: "gyroscope ",
     density: Unit::new("°/s/√Hz", DEG, 5),
     white: ("angle random walk", Unit::new("°/√h", 60.0 * DEG, 3)),
@@ -75,122 +159,92 @@ pub(super) static GYROSCOPE: Kind = Kind {
     deviation: Unit::new("°/s", DEG, 5),
 };
 
-/// The noise of a sensor, SI units.
-#[derive(Clone, Debug)]
+/// The noise of a sensor.
+#[derive(Clone, Debug, Serialize)]
 pub struct SensorNoise {
+    #[serde(skip)]
     pub(super) kind: &'static Kind,
     /// X, Y, Z.
     pub axes: [AxisNoise; 3],
-    /// The curve.
-    pub points: Vec<PointReport>,
+    /// The Allan deviation.
+    pub points: Vec<Point>,
 }
 
 impl SensorNoise {
     pub(super) fn of(allan: &AllanVariance, kind: &'static Kind) -> Result<Self, Refusal> {
-        let points = allan.points().map(PointReport::from).collect();
-        Ok(Self { kind, axes: allan.result()?, points })
-    }
-
-    /// The axes with their names.
-    fn named(&self) -> impl Iterator<Item = (String, &AxisNoise)> {
-        let names = ["X", "Y", "Z"].map(|axis| format!("{}{axis}", self.kind.prefix));
-        names.into_iter().zip(&self.axes)
+        let [density, white, walk, drift, quantisation] = kind.si_terms;
+        let figure =
+            |measured: Option<Measured>, unit| measured.map(|measured| Figure::new(measured, unit));
+        let axes = allan.result()?.map(|axis| AxisNoise {
+            noise_density: Figure::new(axis.noise_density(), density),
+            random_walk: Figure::new(axis.velocity_random_walk, white),
+            bias_instability: figure(axis.bias_instability_mps2, kind.si),
+            bias_random_walk: figure(axis.acceleration_random_walk, walk),
+            drift: figure(axis.ramp_mps3, drift),
+            is_one_event: axis.is_one_event,
+            quantisation: figure(axis.quantisation_mps, quantisation),
+            floor: axis.floor_mps2,
+            floor_tau_s: axis.floor_tau_s,
+            misfit: axis.misfit,
+            is_noise: axis.is_noise(),
+            white_from_s: axis.white_from_s,
+            sample_sd: axis.sample_sd_mps2,
+            step: axis.step_mps2,
+            is_coarse: axis.is_coarse(),
+            clipped_samples: axis.clipped_samples,
+        });
+        Ok(Self { kind, axes, points: allan.points().map(Point::from).collect() })
     }
 
     /// What a user should know beside the numbers.
-    pub(super) fn findings(&self) -> Vec<Problem> {
-        let mut findings = Vec::new();
-        let deviation = &self.kind.deviation;
-        for (name, axis) in self.named() {
-            if axis.is_coarse() {
-                let text = format!(
-                    "{name}: one step of the output, {:.2} {}, is {:.1} times its noise: the figures are those of the \
-                     quantisation",
-                    axis.step_mps2 * deviation.per_si,
-                    deviation.name,
-                    axis.step_mps2 / axis.sample_sd_mps2
-                );
-                let finding = Code::Quantisation.warning(text);
-                findings.push(finding.remedy("choose a smaller range or a higher resolution"));
-            } else if !axis.is_noise() {
-                findings.push(Code::NotNoise.warning(format!(
-                    "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the \
-                     curve",
-                    axis.misfit
-                )));
-            }
-            if let Some(tau_s) = axis.white_from_s {
-                findings.push(Code::NotNoise.note(format!(
-                    "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of \
-                     {tau_s:.3} s on, and the figures are from there"
-                )));
-            }
-            if axis.clipped_samples > 0 {
-                let text = format!(
-                    "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
-                    axis.clipped_samples
-                );
-                let remedy = "choose a larger range or rotate the axis away from its end";
-                findings.push(Code::Saturated.warning(text).remedy(remedy));
-            }
-            if axis.is_one_event {
-                let finding = Code::NotNoise.warning(format!(
-                    "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are \
-                     left out"
-                ));
-                let remedy = "record again with a warm sensor that is not disturbed";
-                findings.push(finding.remedy(remedy));
-            }
-        }
-        findings
+    pub(super) fn problems(&self) -> Vec<Problem> {
+        let names = ["X", "Y", "Z"].map(|axis| format!("{}{axis}", self.kind.prefix));
+        let axes = names.iter().zip(&self.axes);
+        axes.flat_map(|(name, axis)| axis.problems(name, &self.kind.deviation)).collect()
     }
 }
 
-/// The noise of an axis of a gyroscope.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct GyroscopeAxis {
-    /// Noise density, one-sided as datasheets give it, °/s/√Hz.
-    pub noise_density_deg_s_rthz: Figure,
-    /// Angle random walk, °/√h.
-    pub angle_random_walk_deg_rth: Figure,
-    /// The same, rad/s/√Hz.
-    pub angle_random_walk_rad_s_rthz: Figure,
-    /// Bias instability, °/h; `None` where the recording is too short to observe it.
-    pub bias_instability_deg_h: Option<Figure>,
-    /// Rate random walk, °/s/√s, where it is observed.
-    pub rate_random_walk_deg_s_rts: Option<Figure>,
-    /// The same, rad/s/√s.
-    pub rate_random_walk_rad_s_rts: Option<Figure>,
-    /// Smallest Allan deviation, °/h.
-    pub floor_deg_h: f64,
-    /// The same, rad/s.
-    pub floor_rad_s: f64,
-    /// Averaging time of the smallest deviation, s.
-    pub floor_tau_s: f64,
-    /// False where hum or vibration is present.
-    pub is_noise: bool,
-    /// Whether the step of the output is larger than the noise.
-    pub is_coarse: bool,
-}
-
-impl From<AxisNoise> for GyroscopeAxis {
-    fn from(noise: AxisNoise) -> Self {
-        let degrees = |measured: Measured, factor: f64| {
-            let factor = factor * DEG;
-            Figure::from(Measured { value: measured.value * factor, sd: measured.sd * factor })
-        };
-        Self {
-            noise_density_deg_s_rthz: degrees(noise.noise_density(), 1.0),
-            angle_random_walk_deg_rth: degrees(noise.velocity_random_walk, 60.0),
-            angle_random_walk_rad_s_rthz: noise.velocity_random_walk.into(),
-            bias_instability_deg_h: noise.bias_instability_mps2.map(|b| degrees(b, 3600.0)),
-            rate_random_walk_deg_s_rts: noise.acceleration_random_walk.map(|k| degrees(k, 1.0)),
-            rate_random_walk_rad_s_rts: noise.acceleration_random_walk.map(Figure::from),
-            floor_deg_h: noise.floor_mps2 * DEG * 3600.0,
-            floor_rad_s: noise.floor_mps2,
-            floor_tau_s: noise.floor_tau_s,
-            is_noise: noise.is_noise(),
-            is_coarse: noise.is_coarse(),
+impl AxisNoise {
+    fn problems(&self, name: &str, deviation: &Unit) -> Vec<Problem> {
+        let mut problems = Vec::new();
+        if self.is_coarse {
+            let text = format!(
+                "{name}: one step of the output, {:.2} {}, is {:.1} times its noise: the figures are those of the \
+                 quantisation",
+                self.step * deviation.per_si,
+                deviation.name,
+                self.step / self.sample_sd
+            );
+            let problem = Code::Quantisation.warning(text);
+            problems.push(problem.remedy("choose a smaller range or a higher resolution"));
+        } else if !self.is_noise {
+            problems.push(Code::NotNoise.warning(format!(
+                "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
+                self.misfit
+            )));
         }
+        if let Some(tau_s) = self.white_from_s {
+            problems.push(Code::NotNoise.note(format!(
+                "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s \
+                 on, and the figures are from there"
+            )));
+        }
+        if self.clipped_samples > 0 {
+            let text = format!(
+                "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
+                self.clipped_samples
+            );
+            let remedy = "choose a larger range or rotate the axis away from its end";
+            problems.push(Code::Saturated.warning(text).remedy(remedy));
+        }
+        if self.is_one_event {
+            let problem = Code::NotNoise.warning(format!(
+                "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left \
+                 out"
+            ));
+            let remedy = "record again with a warm sensor that is not disturbed";
+            problems.push(problem.remedy(remedy));
+        }
+        problems
     }
 }

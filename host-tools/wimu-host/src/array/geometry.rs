@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use wimu_model::{ErrorModel, SpecificForceMps2};
+use wimu_model::ErrorModel;
 use wimu_nav::array::{Geometry, GeometryError};
 
-use crate::calibration::read_model;
+use crate::calibration::{Calibration, Correction};
 use crate::navigation::distance_m;
 use crate::{Code, OutputFile, Problem, Result};
 
@@ -47,18 +47,14 @@ impl ArraySensor {
         }
     }
 
-    /// Specific force from its output, both m/s² and in its own axes; `lsb_per_g` is the sensitivity by which the
-    /// output was scaled, where it comes from counts.
-    pub fn corrected(&self, output_mps2: [f64; 3], lsb_per_g: Option<f64>) -> [f64; 3] {
-        let Some(model) = &self.model else {
-            return output_mps2;
-        };
-        let factor = match (lsb_per_g, self.sensitivity_lsb_per_g) {
-            (Some(scaled_by), Some(own)) => scaled_by / own,
+    /// What corrects its output in m/s²; `lsb_per_g` is the sensitivity by which that was scaled, where it comes from counts.
+    pub fn correction(&self, lsb_per_g: Option<f64>) -> Correction {
+        let factor = match (&self.model, lsb_per_g, self.sensitivity_lsb_per_g) {
+            (Some(_), Some(scaled_by), Some(own)) => scaled_by / own,
             _ => 1.0,
         };
-        let output = SpecificForceMps2(output_mps2.map(|v| v * factor));
-        model.correct(output, None).0
+        let rotation = std::array::from_fn(|i| self.axes.map(|axis| axis[i]));
+        Correction::of_model(self.model.unwrap_or_default(), factor, rotation)
     }
 
     /// Its output in body axes.
@@ -96,7 +92,7 @@ impl ArrayGeometry {
     /// `wimu align` found besides turns the sensor's axes.
     ///
     /// # Errors
-    /// `usage` for another number of files than of sensors; those of [`read_model`].
+    /// `usage` for another number of files than of sensors; those of [`Calibration::read`].
     pub fn with_models(mut self, files: &[PathBuf]) -> Result<Self> {
         if files.len() != self.sensors.len() {
             return Err(Code::Usage.error(
@@ -109,9 +105,10 @@ impl ArrayGeometry {
             ));
         }
         for (sensor, file) in self.sensors.iter_mut().zip(files) {
-            let stored = read_model(file)?;
-            sensor.model = Some(stored.model);
-            sensor.sensitivity_lsb_per_g = stored.sensitivity_lsb_per_g;
+            let calibration = Calibration::read(file)?;
+            let stored = calibration.sensor();
+            sensor.model = Some(stored.accelerometer.model);
+            sensor.sensitivity_lsb_per_g = stored.accelerometer.sensitivity_lsb_per_g;
             let turn = stored.alignment.matrix();
             let axes = sensor.axes;
             sensor.axes = std::array::from_fn(|axis| {

@@ -7,6 +7,7 @@ use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
 use super::ArrayGeometry;
+use crate::calibration::Correction;
 use crate::capture::{Boot, Capture, Link};
 use crate::formats::{self, ReadOptions};
 use crate::motion::{FULL_SCALE_MPS2, Truth, median_step_s};
@@ -167,9 +168,11 @@ impl ArrayRecording {
         super::motion::check(&self, geometry)?;
         let sensors = &geometry.sensors;
         let scaled_by = |k: usize| self.sensitivities.get(k).copied().flatten();
+        let corrections: Vec<Correction> =
+            sensors.iter().enumerate().map(|(k, sensor)| sensor.correction(scaled_by(k))).collect();
         for row in &mut self.outputs {
-            for (k, (output, sensor)) in row.iter_mut().zip(sensors).enumerate() {
-                *output = sensor.in_body_axes(sensor.corrected(*output, scaled_by(k)));
+            for (output, correction) in row.iter_mut().zip(&corrections) {
+                *output = correction.sample(*output, None);
             }
         }
         let delays: Vec<f64> = sensors.iter().map(|s| s.delay_us * 1e-6).collect();

@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, DVector};
 use wimu_calib::{Estimate, Method, POSE_SCATTER_DOF, POSE_SCATTER_MPS2, Pose, Term};
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
-use super::input::{magnitude, same_orientation};
+use super::magnitude;
+use super::poses::same_orientation;
 use crate::{Code, Problem};
 
 /// Probability of a finding in a session without a change, for drifts: a cold start is more frequent than a step.

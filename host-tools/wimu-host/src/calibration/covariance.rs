@@ -1,52 +1,80 @@
-//! Covariances in calibration files.
+//! Covariances as CAL.json holds them: `{"order": [parameter, …], "cholesky": [[L₁₁], [L₂₁, L₂₂], …]}` of L Lᵀ, exactly as
+//! a board stores it.
 
-use serde::{Deserialize, Serialize};
-use wimu_calib::Parameter;
-use wimu_model::{ModelCovariance, RotationCovariance};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A covariance matrix L Lᵀ and the order of its parameters.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Covariance {
+#[derive(Serialize, Deserialize)]
+struct Factor {
     order: Vec<String>,
-    /// L, lower triangular, row by row: exactly as a board stores it.
+    /// L, lower triangular, row by row.
     cholesky: Vec<Vec<f32>>,
 }
 
-impl Covariance {
-    pub(super) fn new<const N: usize>(order: [String; N], factor: &[f32]) -> Self {
-        let row = |row: usize| factor.iter().skip(row * (row + 1) / 2).take(row + 1);
-        Self { order: order.into(), cholesky: (0..N).map(|n| row(n).copied().collect()).collect() }
+impl Factor {
+    fn new(order: Vec<String>, elements: &[f32]) -> Self {
+        let row = |row: usize| elements[row * (row + 1) / 2..(row + 1) * (row + 2) / 2].to_vec();
+        Self { cholesky: (0..order.len()).map(row).collect(), order }
     }
 
     /// The elements of L, if it has this order.
-    fn factor<const N: usize>(&self, order: [String; N]) -> std::result::Result<Vec<f32>, String> {
+    fn elements<E: Error>(self, order: &[String]) -> Result<Vec<f32>, E> {
         let rows = self.cholesky.iter().map(Vec::len);
-        if self.order != order || !rows.eq(1..=N) {
-            return Err(format!("a covariance is not one of {}", order.join(", ")));
+        if self.order != order || !rows.eq(1..=order.len()) {
+            return Err(E::custom(format!("a covariance is not one of {}", order.join(", "))));
         }
         Ok(self.cholesky.concat())
     }
+}
 
-    pub(super) fn of_model(&self) -> std::result::Result<ModelCovariance, String> {
-        let factor = self.factor(model_order())?;
+/// That of an error model.
+pub mod of_model {
+    use wimu_calib::Parameter;
+    use wimu_model::ModelCovariance;
+
+    use super::*;
+
+    fn order() -> Vec<String> {
+        Parameter::ALL.map(|parameter| parameter.to_string()).into()
+    }
+
+    pub fn serialize<S: Serializer>(known: &ModelCovariance, out: S) -> Result<S::Ok, S::Error> {
+        Factor::new(order(), known.factor().as_flattened()).serialize(out)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(input: D) -> Result<ModelCovariance, D::Error> {
+        let elements = Factor::deserialize(input)?.elements(&order())?;
         let mut rows = [[0.0; 13]; 6];
-        rows.as_flattened_mut().copy_from_slice(&factor);
-        ModelCovariance::from_factor(rows).map_err(|error| error.to_string())
+        rows.as_flattened_mut().copy_from_slice(&elements);
+        ModelCovariance::from_factor(rows).map_err(D::Error::custom)
+    }
+}
+
+/// That of an alignment, if it was measured.
+pub mod of_rotation {
+    use wimu_model::RotationCovariance;
+
+    use super::*;
+
+    fn order() -> Vec<String> {
+        ["X", "Y", "Z"].map(|axis| format!("rotation about {axis}")).into()
     }
 
-    pub(super) fn of_rotation(&self) -> std::result::Result<RotationCovariance, String> {
-        let factor = self.factor(rotation_order())?;
+    pub fn serialize<S: Serializer>(
+        known: &Option<RotationCovariance>,
+        out: S,
+    ) -> Result<S::Ok, S::Error> {
+        let factor = known.map(|known| Factor::new(order(), known.factor().as_flattened()));
+        factor.serialize(out)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        input: D,
+    ) -> Result<Option<RotationCovariance>, D::Error> {
+        let Some(factor) = Option::<Factor>::deserialize(input)? else { return Ok(None) };
+        let elements = factor.elements(&order())?;
         let mut rows = [[0.0; 6]];
-        rows.as_flattened_mut().copy_from_slice(&factor);
-        RotationCovariance::from_factor(rows).map_err(|error| error.to_string())
+        rows.as_flattened_mut().copy_from_slice(&elements);
+        RotationCovariance::from_factor(rows).map(Some).map_err(D::Error::custom)
     }
-}
-
-/// The order of the covariance of an error model, and of an alignment.
-pub(super) fn model_order() -> [String; Parameter::COUNT] {
-    Parameter::ALL.map(|parameter| parameter.to_string())
-}
-
-pub(super) fn rotation_order() -> [String; 3] {
-    ["X", "Y", "Z"].map(|axis| format!("rotation about {axis}"))
 }

@@ -5,7 +5,7 @@ mod noise;
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::calibration::parameter_id;
+use super::{Calibration, SensorCalibration, Source, parameter_id};
 use wimu_model::{
     Alignment, Corrector, CorrectorParts, GyroscopeParameters, Matrix3, ParameterSet,
     STANDARD_GRAVITY_MPS2, Sensitivity,
@@ -13,7 +13,7 @@ use wimu_model::{
 
 pub use noise::{KalibrNoise, KalibrTerms};
 
-use super::file::{NOT_FOR_A_BOARD, StoredModel, range_finding, read_model, read_parameters};
+use super::poses::range_note;
 use crate::{Code, Problem, Result};
 
 /// Bounds of ArduPilot's parameters: offsets, m/s², and scale factors.
@@ -44,21 +44,17 @@ pub enum ExportTarget {
 /// A calibration to export: of counts, or of output in m/s².
 ///
 /// ```
-/// use wimu_host::calibration::{CalibrationExport, CalibrationFile, ExportTarget};
+/// use wimu_host::calibration::{Calibration, CalibrationExport, ExportTarget};
 /// use wimu_model::{ParameterSet, Sensitivity};
 ///
-/// let folder = tempfile::tempdir().unwrap();
-/// let path = folder.path().join("CAL.json");
 /// let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
-/// CalibrationFile::new(&set, &[], "poses.csv").write(&path)?;
-/// let export = CalibrationExport::read(&path)?;
+/// let export = CalibrationExport::new(&Calibration::new(&set, &[], "poses.csv"));
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
 /// assert!(export.findings(ExportTarget::Px4).is_empty());
-/// # Ok::<(), wimu_host::Problem>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct CalibrationExport {
-    stored: StoredModel,
+    stored: SensorCalibration,
     title: String,
     /// A range that was assumed.
     range: Option<Problem>,
@@ -71,27 +67,28 @@ impl CalibrationExport {
     /// `file_unreadable`; `bad_calibration` when it is not a calibration, was refused or edited, or contains numbers
     /// that are out of bounds.
     pub fn read(path: &Path) -> Result<Self> {
-        let stored = read_model(path)?;
+        Ok(Self::new(&Calibration::read(path)?))
+    }
+
+    /// Of [`Calibration::sensor`].
+    pub fn new(calibration: &Calibration) -> Self {
+        let stored = calibration.sensor().clone();
+        let source = stored.accelerometer.range_source;
         let mut range = None;
-        let title = match read_parameters(path) {
-            Ok(set) => {
-                range = range_finding(path, &set);
-                let what = match &range {
-                    None => format!("a +/-{} g accelerometer", set.range_g),
-                    Some(_) => format!(
-                        "an accelerometer of {:.0} LSB/g; its range is unknown (+/-{} g if it has 16 bits)",
-                        set.sensitivity.lsb_per_g(),
-                        set.range_g
-                    ),
-                };
-                format!("Calibration {} of {what}", parameter_id(&set))
+        let mut title = "Calibration of an accelerometer".to_owned();
+        if let Ok(set) = calibration.parameters() {
+            let (id, range_g) = (parameter_id(&set), set.range_g);
+            title = format!("Calibration {id} of a +/-{range_g} g accelerometer");
+            if source == Some(Source::SixteenBits) {
+                range = range_note((range_g, Source::SixteenBits), set.sensitivity);
+                let lsb_per_g = set.sensitivity.lsb_per_g();
+                title = format!(
+                    "Calibration {id} of an accelerometer of {lsb_per_g:.0} LSB/g; its range is unknown (+/-{range_g} g if it \
+                     has 16 bits)"
+                );
             }
-            Err(error) if error.text.starts_with(NOT_FOR_A_BOARD) => {
-                "Calibration of an accelerometer".to_owned()
-            }
-            Err(error) => return Err(error),
-        };
-        Ok(Self { stored, title: format!("{title}, exported by wimu."), range })
+        }
+        Self { stored, title: format!("{title}, exported by wimu."), range }
     }
 
     /// The calibration as a text for `target`. Only Kalibr's has the noise.
@@ -127,7 +124,7 @@ impl CalibrationExport {
         if !matches!(target, Ardupilot | Kalibr | Px4 | Ros) {
             return Vec::new();
         }
-        let terms = self.stored.model.terms();
+        let terms = self.stored.accelerometer.model.terms();
         let t = &terms.temperature;
         let mut left_out = Vec::new();
         if [t.bias_mps2_per_k, t.bias_mps2_per_k2, t.scale_per_k] != [[0.0; 3]; 3] {
@@ -167,7 +164,7 @@ impl CalibrationExport {
 
     /// What an offset and a scale factor per axis cannot express.
     fn left_out_of_diagonal(&self) -> Option<String> {
-        let inverse = inverse(&self.stored.model.terms().matrix);
+        let inverse = inverse(&self.stored.accelerometer.model.terms().matrix);
         let off = |m: &Matrix3| {
             let one = |i: usize, j: usize| if i == j { 0.0 } else { m[i][j].abs() };
             let all = (0..9).map(|k| one(k / 3, k % 3));
@@ -193,14 +190,14 @@ impl CalibrationExport {
 
     /// Offset, m/s², and scale factor per axis: f ≈ (y − offset) ∘ scale.
     fn diagonal(&self) -> ([f64; 3], [f64; 3]) {
-        let terms = self.stored.model.terms();
+        let terms = self.stored.accelerometer.model.terms();
         let inverse = inverse(&terms.matrix);
         (terms.bias_mps2, [0, 1, 2].map(|i| inverse[i][i]))
     }
 
     /// The equations of the calibration, as lines of text.
     fn convention(&self) -> String {
-        let (unit, scale) = match self.stored.sensitivity_lsb_per_g {
+        let (unit, scale) = match self.stored.accelerometer.sensitivity_lsb_per_g {
             Some(lsb_per_g) => {
                 ("LSB", format!("9.80665 / ({lsb_per_g} LSB/g), the nominal sensitivity"))
             }
@@ -223,9 +220,10 @@ impl CalibrationExport {
     /// The corrector of counts at the reference temperature; `None` where the output is in m/s² or the corrector
     /// would overflow.
     fn integers(&self) -> Option<CorrectorParts> {
-        let sensitivity = Sensitivity::from_lsb_per_g(self.stored.sensitivity_lsb_per_g?).ok()?;
+        let sensitivity =
+            Sensitivity::from_lsb_per_g(self.stored.accelerometer.sensitivity_lsb_per_g?).ok()?;
         let set = ParameterSet {
-            model: self.stored.model,
+            model: self.stored.accelerometer.model,
             alignment: self.stored.alignment,
             // The range has no influence.
             ..ParameterSet::uncalibrated(1, sensitivity)
@@ -243,7 +241,7 @@ impl CalibrationExport {
             let [open, row, close] = list;
             format!("{open}{}{close}", m.map(vector).join(row))
         };
-        let terms = self.stored.model.terms();
+        let terms = self.stored.accelerometer.model.terms();
         let t = &terms.temperature;
         let convention = self.convention();
         let convention: Vec<String> =
@@ -257,7 +255,7 @@ impl CalibrationExport {
             ("convention", convention.join("\n")),
             ("signature", signature.to_owned()),
             ("t0", format!("{:?}", t.reference_c)),
-            ("scale", format!("{:?}", self.stored.mps2_per_unit())),
+            ("scale", format!("{:?}", self.stored.accelerometer.mps2_per_unit())),
             ("b0", vector(terms.bias_mps2)),
             ("b1", vector(t.bias_mps2_per_k)),
             ("b2", vector(t.bias_mps2_per_k2)),
@@ -318,7 +316,7 @@ impl CalibrationExport {
 
     /// Kalibr's IMU file, whose convention is ours: y = M f + b, M is A.
     fn kalibr(&self, noise: Option<KalibrNoise>) -> String {
-        let terms = self.stored.model.terms();
+        let terms = self.stored.accelerometer.model.terms();
         let mut out = self
             .comments(ExportTarget::Kalibr, "Output = M * specific force + b, sensor axes, m/s^2.");
         out += "rostopic: /imu/data_raw\n";
@@ -370,7 +368,7 @@ impl CalibrationExport {
 
     /// The file of `imu_calib`: corrected = SM raw − bias.
     fn ros(&self) -> String {
-        let terms = self.stored.model.terms();
+        let terms = self.stored.accelerometer.model.terms();
         let product =
             |a: &Matrix3, v: [f64; 3]| a.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
         let (rotation, inverse) = (self.stored.alignment.matrix(), inverse(&terms.matrix));

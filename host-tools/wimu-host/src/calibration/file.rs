@@ -1,55 +1,53 @@
-//! Calibration files.
+//! Calibrations: the content of a CAL.json.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use crate::calibration::parameter_id;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use wimu_model::{
     Alignment, CalibratedTemperature, CalibrationMethod, CalibrationQuality, ErrorModel,
-    ErrorTerms, GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet,
-    QualityTerms, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
+    GyroscopeParameters, MagnetometerModel, ModelCovariance, ParameterSet, QualityTerms,
+    RotationCovariance, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TermDeviations,
 };
 
-use super::Source;
-use super::covariance::{Covariance, model_order, rotation_order};
-use super::range::Range;
-use crate::OutputFile;
+use super::{Source, covariance, parameter_id};
 use crate::csv::AccelerationUnit;
-use crate::{Code, Problem, Result};
+use crate::{Code, OutputFile, Problem, Result};
 
 /// How to make a file that can be read.
-const REMEDY: &str = "make it with `wimu calibrate … -o CAL.json`";
+const REMEDY: &str = "undo the change, or make it with `wimu calibrate … -o CAL.json`";
 
-/// A calibration that has no sensitivity of a board.
-pub(super) const NOT_FOR_A_BOARD: &str = "it has no parameters for a board";
-pub(super) const SENSITIVITY_REMEDY: &str =
-    "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
-
-/// A calibration file: every value once.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct CalibrationFile {
-    /// [`CalibrationFile::SCHEMA`].
+/// A calibration, as CAL.json holds it: every value once, and within its bounds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    /// [`Calibration::SCHEMA`].
     schema: String,
     /// Id of the device that it was made on, 16 hexadecimal digits; absent where the data do not name it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     device: Option<String>,
-    /// The sensors of a board.
-    pub sensors: Vec<StoredSensor>,
+    /// The sensors of a board, at least one.
+    #[serde(deserialize_with = "checked")]
+    sensors: Vec<SensorCalibration>,
+    /// The file that it was read from.
+    #[serde(skip)]
+    path: Option<PathBuf>,
 }
 
-/// A sensor in a calibration file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct StoredSensor {
+/// The calibration of a sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SensorCalibration {
     /// Its index on its board, from 0.
     pub index: u8,
     /// Its type, as numbered in the protocol; null if unknown.
     pub sensor: Option<SensorId>,
     /// Sensor axes to body axes, quaternion W, X, Y, Z.
-    pub alignment_wxyz: Alignment,
+    #[serde(rename = "alignment_wxyz")]
+    pub alignment: Alignment,
     /// Covariance of the alignment's error about body axes, rad²; null if not measured.
-    pub alignment_covariance: Option<Covariance>,
+    #[serde(default, with = "covariance::of_rotation")]
+    pub alignment_covariance: Option<RotationCovariance>,
     /// Its accelerometer.
-    pub accelerometer: StoredAccelerometer,
+    pub accelerometer: AccelerometerCalibration,
     /// Its gyroscope; null if it has none, or one that is uncalibrated.
     pub gyroscope: Option<GyroscopeParameters>,
     /// The magnetometer beside it; null if uncalibrated.
@@ -58,11 +56,12 @@ pub struct StoredSensor {
     parameter_id: Option<String>,
 }
 
-/// An accelerometer in a calibration file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct StoredAccelerometer {
-    /// Unit of the output that was calibrated: `LSB`, or `m/s²` for g too.
-    pub unit: String,
+/// The calibration of an accelerometer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AccelerometerCalibration {
+    /// Unit of the output that was calibrated: `LSB`, or `m/s²` for g too. A model of counts does not apply to output in
+    /// m/s², which was scaled elsewhere.
+    pub unit: AccelerationUnit,
     /// Full-scale range, ± *g*; null if unknown.
     pub range_g: Option<u8>,
     /// Source of the range.
@@ -73,16 +72,16 @@ pub struct StoredAccelerometer {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zero_count: Option<f64>,
     /// The error model, sensor axes.
-    pub model: ErrorTerms,
+    pub model: ErrorModel,
     /// Its uncertainty; null if it was not estimated.
-    pub quality: Option<StoredQuality>,
+    pub quality: Option<Quality>,
     /// Where the data come from, in order.
     pub sessions: Vec<Session>,
 }
 
-/// Uncertainty of an error model in a calibration file, as in [`QualityTerms`].
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct StoredQuality {
+/// Uncertainty of an error model: [`QualityTerms`] without the poses and the time, which are those of the sessions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
     method: CalibrationMethod,
     /// Temperatures of the data, between which the model is valid.
     temperature: Option<CalibratedTemperature>,
@@ -90,7 +89,8 @@ pub struct StoredQuality {
     rms_mps2: f32,
     loo_rms_mps2: Option<f32>,
     condition: Option<f32>,
-    covariance: Covariance,
+    #[serde(with = "covariance::of_model")]
+    covariance: ModelCovariance,
     other_sd: TermDeviations,
 }
 
@@ -111,16 +111,29 @@ fn total(sessions: &[Session]) -> u32 {
     poses.fold(0, u32::saturating_add)
 }
 
-impl CalibrationFile {
+fn checked<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<SensorCalibration>, D::Error> {
+    let sensors = Vec::<SensorCalibration>::deserialize(input)?;
+    if sensors.is_empty() {
+        return Err(D::Error::custom("it has no sensor"));
+    }
+    sensors.iter().try_for_each(SensorCalibration::check).map_err(D::Error::custom)?;
+    Ok(sensors)
+}
+
+impl Calibration {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/2";
 
-    /// The file of `set`, whose accelerometer was calibrated with the data of the sessions `before` and, if it has
-    /// more poses, with those of `source`.
+    /// Of one sensor.
+    pub fn of(sensor: SensorCalibration) -> Self {
+        Self { schema: Self::SCHEMA.to_owned(), device: None, sensors: vec![sensor], path: None }
+    }
+
+    /// Of `set`, whose accelerometer was calibrated with the data of the sessions `before` and, if it has more poses, with
+    /// those of `source`.
     pub fn new(set: &ParameterSet, before: &[Session], source: &str) -> Self {
         let quality = set.quality.as_ref().map(CalibrationQuality::terms);
-        let poses = quality.map_or(0, |terms| terms.poses);
-        let known = total(before);
+        let (poses, known) = (quality.map_or(0, |terms| terms.poses), total(before));
         let mut sessions = before.to_vec();
         if poses > known {
             sessions.push(Session {
@@ -129,41 +142,47 @@ impl CalibrationFile {
                 poses: poses - known,
             });
         }
-        let mut sensor = StoredSensor {
+        Self::of(SensorCalibration {
             index: set.sensor_index,
-            sensor: set.sensor,
-            alignment_wxyz: set.alignment,
-            alignment_covariance: set.alignment_covariance.map(|covariance| {
-                Covariance::new(rotation_order(), covariance.factor().as_flattened())
-            }),
-            accelerometer: StoredAccelerometer {
-                unit: AccelerationUnit::Lsb.as_str().to_owned(),
-                range_g: Some(set.range_g),
-                range_source: None,
-                sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-                zero_count: None,
-                model: *set.model.terms(),
-                quality: quality.map(StoredQuality::new),
-                sessions,
-            },
+            alignment: set.alignment,
+            alignment_covariance: set.alignment_covariance,
             gyroscope: set.gyroscope,
             magnetometer: set.magnetometer,
-            parameter_id: None,
-        };
-        sensor.seal();
-        Self { schema: Self::SCHEMA.to_owned(), device: None, sensors: vec![sensor] }
+            ..SensorCalibration::new(
+                set.sensor,
+                AccelerometerCalibration {
+                    unit: AccelerationUnit::Lsb,
+                    range_g: Some(set.range_g),
+                    range_source: None,
+                    sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+                    zero_count: None,
+                    model: set.model,
+                    quality: set.quality.as_ref().map(Quality::from),
+                    sessions,
+                },
+            )
+        })
     }
 
-    /// The file of `set`, which later data made of the calibration `before`: that of the file `path`, if there is one.
-    pub fn after(
-        path: Option<&Path>,
-        before: &ParameterSet,
-        set: &ParameterSet,
-        source: &str,
-    ) -> Self {
-        let mut file = Self::new(set, &sessions(path, before), source);
-        file.device = path.and_then(|path| read(path).ok()?.device);
-        file.with_zero_count(path.and_then(zero_count))
+    /// Of a set that a board or a recording holds.
+    pub fn held(set: &ParameterSet) -> Self {
+        let quality = set.quality.iter().map(CalibrationQuality::terms);
+        let session =
+            |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
+        Self::new(set, &quality.map(session).collect::<Vec<_>>(), "")
+    }
+
+    /// That of `set`, which later data, those of `source`, made of this one.
+    #[must_use]
+    pub fn after(&self, set: &ParameterSet, source: &str) -> Self {
+        let before = &self.sensor().accelerometer;
+        let mut after = Self::new(set, &before.sessions, source);
+        after.device.clone_from(&self.device);
+        for sensor in &mut after.sensors {
+            sensor.accelerometer.zero_count = before.zero_count;
+            sensor.accelerometer.range_source = before.range_source;
+        }
+        after
     }
 
     /// The same of this device, if it does not name one.
@@ -173,66 +192,69 @@ impl CalibrationFile {
         self
     }
 
-    /// The file of an accelerometer that may have no parameters for a board.
-    pub(super) fn of_model(
-        model: ErrorModel,
-        quality: Option<CalibrationQuality>,
-        sensor: Option<SensorId>,
-        unit: AccelerationUnit,
-        lsb_per_g: Option<f64>,
-        range: Option<Range>,
-        source: &str,
-    ) -> Option<Self> {
-        // Any in bounds: replaced below.
-        let sensitivity = Sensitivity::from_lsb_per_g(16384.0).ok()?;
-        let set =
-            ParameterSet { model, quality, sensor, ..ParameterSet::uncalibrated(1, sensitivity) };
-        let mut file = Self::new(&set, &[], source);
-        let entry = file.sensors.first_mut()?;
-        let stored = &mut entry.accelerometer;
-        stored.unit = unit.as_str().to_owned();
-        stored.sensitivity_lsb_per_g = lsb_per_g;
-        stored.range_g = range.map(|range| range.g);
-        stored.range_source = range.map(|range| range.source);
-        entry.seal();
-        Some(file)
-    }
-
-    /// The same with the output at zero that was subtracted from the counts, LSB.
+    /// The same with the sensors of another one.
     #[must_use]
-    pub(super) fn with_zero_count(mut self, zero_count: Option<f64>) -> Self {
-        for sensor in &mut self.sensors {
-            sensor.accelerometer.zero_count = zero_count;
-        }
+    pub fn and(mut self, other: Self) -> Self {
+        self.sensors.extend(other.sensors);
         self
     }
 
-    /// The same with the gyroscope of its sensors.
-    #[must_use]
-    pub(super) fn with_gyroscope(mut self, gyroscope: Option<GyroscopeParameters>) -> Self {
-        for sensor in &mut self.sensors {
-            sensor.gyroscope = gyroscope;
-            sensor.seal();
-        }
-        self
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// `file_unreadable`; `bad_calibration` when it is not a calibration, was edited, or holds numbers that are out of bounds.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
+        let calibration = Self::parse(&text).map_err(|problem| match &problem.place.at {
+            Some(at) => problem.clone().at(format!("{name} {at}")),
+            None => problem.at(name),
+        })?;
+        Ok(Self { path: Some(path.to_owned()), ..calibration })
     }
 
-    /// The same with the model of several sessions.
-    #[must_use]
-    pub(super) fn with_sessions(
-        mut self,
-        model: &ErrorModel,
-        quality: Option<&CalibrationQuality>,
-        sessions: Vec<Session>,
-    ) -> Self {
-        for sensor in &mut self.sensors {
-            let stored = &mut sensor.accelerometer;
-            stored.model = *model.terms();
-            stored.quality = quality.map(|quality| StoredQuality::new(quality.terms()));
-            stored.sessions.clone_from(&sessions);
-            sensor.seal();
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    /// `bad_calibration`.
+    pub fn parse(text: &str) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Head {
+            schema: Option<String>,
         }
-        self
+        let bad = |error: serde_json::Error| {
+            let problem =
+                Code::BadCalibration.error(format!("this is not a calibration: {error}"), REMEDY);
+            problem.at(format!("line {}, column {}", error.line(), error.column()))
+        };
+        let head: Head = serde_json::from_str(text).map_err(bad)?;
+        let schema = head.schema.as_deref().unwrap_or("missing");
+        if schema == Self::SCHEMA {
+            return serde_json::from_str(text).map_err(bad);
+        }
+        let remedy = if schema.starts_with("wimu.calibration/") {
+            "update wimu on this computer"
+        } else {
+            REMEDY
+        };
+        let text = format!("its schema is {schema}, not {}", Self::SCHEMA);
+        Err(Code::BadCalibration.error(text, remedy))
+    }
+
+    /// The same with the ids of its parameter sets, without which a file is not read.
+    fn sealed(&self) -> Self {
+        let mut sealed = self.clone();
+        for sensor in &mut sealed.sensors {
+            let set = sensor.values();
+            sensor.parameter_id = set.ok().map(|set| parameter_id(&set).to_string());
+        }
+        sealed
+    }
+
+    /// Its text in one line, as a recording keeps it.
+    pub fn text(&self) -> String {
+        // Numbers, texts and lists always are JSON.
+        serde_json::to_string(&self.sealed()).unwrap_or_default()
     }
 
     /// Writes it.
@@ -240,109 +262,100 @@ impl CalibrationFile {
     /// # Errors
     /// `file_failed`, `file_unreadable`.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let json = serde_json::to_string_pretty(self).map_err(|error| {
-            Code::FileFailed.error(
-                format!("the calibration cannot be written as JSON: {error}"),
-                "report this as a fault of wimu",
-            )
-        })?;
-        OutputFile::write(path, json + "\n")
-    }
-
-    /// The error model of its sensor with index 0, else of the first. `path` is the file in errors.
-    ///
-    /// # Errors
-    /// `bad_calibration` without a sensor, or with numbers that are out of bounds.
-    pub fn model(&self, path: &Path) -> Result<StoredModel> {
-        let stored = self.sensor().and_then(StoredSensor::stored);
-        stored.map_err(invalid(path))
+        let text = serde_json::to_string_pretty(&self.sealed()).unwrap_or_default();
+        OutputFile::write(path, text + "\n")
     }
 
     /// The sensor that a device corrects: that with index 0, else the first.
-    fn sensor(&self) -> std::result::Result<&StoredSensor, String> {
-        let mut sensors = self.sensors.iter();
-        let first = sensors.clone().find(|sensor| sensor.index == 0);
-        let first = first.or_else(|| sensors.next());
-        first.ok_or_else(|| "it has no sensor".to_owned())
+    pub fn sensor(&self) -> &SensorCalibration {
+        self.sensors.iter().find(|sensor| sensor.index == 0).unwrap_or(&self.sensors[0])
+    }
+
+    /// The same, to change it.
+    pub fn sensor_mut(&mut self) -> &mut SensorCalibration {
+        let first = self.sensors.iter().position(|sensor| sensor.index == 0);
+        &mut self.sensors[first.unwrap_or(0)]
+    }
+
+    /// Indices of the other sensors.
+    pub fn further(&self) -> Vec<u8> {
+        let indices = self.sensors.iter().map(|sensor| sensor.index);
+        indices.filter(|index| *index != self.sensor().index).collect()
+    }
+
+    /// The parameters of [`sensor`](Self::sensor) for a board.
+    ///
+    /// # Errors
+    /// `bad_calibration` without a sensitivity, or with one outside the range of boards.
+    pub fn parameters(&self) -> Result<ParameterSet> {
+        self.sensor().values().map_err(|text| {
+            let remedy =
+                "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+            self.located(Code::BadCalibration.error(text, remedy))
+        })
+    }
+
+    /// Checks that it is of this device, or names none.
+    ///
+    /// # Errors
+    /// `other_device`.
+    pub fn check_device(&self, id: u64) -> Result<()> {
+        let id = format!("{id:016x}");
+        let Some(device) = self.device.as_ref().filter(|device| **device != id) else {
+            return Ok(());
+        };
+        Err(self.located(Code::OtherDevice.error(
+            format!("this is the calibration of device {device}, the board is device {id}"),
+            "push that of this device; `device params push` and `fleet push` also take another one with --force",
+        )))
+    }
+
+    fn located(&self, problem: Problem) -> Problem {
+        match &self.path {
+            Some(path) => problem.at(path.display().to_string()),
+            None => problem,
+        }
     }
 }
 
-impl StoredQuality {
-    fn new(terms: &QualityTerms) -> Self {
+/// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
+///
+/// # Errors
+/// Those of [`Calibration::read`] and [`Calibration::parameters`].
+pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
+    Calibration::read(path)?.parameters()
+}
+
+impl SensorCalibration {
+    /// Of an accelerometer.
+    pub fn new(sensor: Option<SensorId>, accelerometer: AccelerometerCalibration) -> Self {
         Self {
-            method: terms.method,
-            temperature: terms.temperature,
-            dof: terms.dof,
-            rms_mps2: terms.rms_mps2,
-            loo_rms_mps2: terms.loo_rms_mps2,
-            condition: terms.condition,
-            covariance: Covariance::new(model_order(), terms.covariance.factor().as_flattened()),
-            other_sd: terms.other_sd,
+            index: 0,
+            sensor,
+            alignment: Alignment::IDENTITY,
+            alignment_covariance: None,
+            accelerometer,
+            gyroscope: None,
+            magnetometer: None,
+            parameter_id: None,
         }
     }
 
-    fn read(&self, sessions: &[Session]) -> std::result::Result<CalibrationQuality, String> {
-        CalibrationQuality::new(QualityTerms {
-            method: self.method,
-            utc_s: sessions.last().and_then(|session| session.utc_s),
-            temperature: self.temperature,
-            poses: total(sessions),
-            dof: self.dof,
-            rms_mps2: self.rms_mps2,
-            loo_rms_mps2: self.loo_rms_mps2,
-            condition: self.condition,
-            covariance: self.covariance.of_model()?,
-            other_sd: self.other_sd,
-        })
-        .map_err(|error| error.to_string())
-    }
-}
-
-impl StoredSensor {
-    fn model(&self) -> std::result::Result<ErrorModel, String> {
-        ErrorModel::new(self.accelerometer.model).map_err(|error| error.to_string())
-    }
-
-    fn stored(&self) -> std::result::Result<StoredModel, String> {
-        let accelerometer = &self.accelerometer;
-        let quality = accelerometer.quality.as_ref();
-        let covariance = quality.map(|quality| quality.covariance.of_model());
-        let covariance = covariance.transpose()?;
-        Ok(StoredModel {
-            model: self.model()?,
-            sensitivity_lsb_per_g: accelerometer.sensitivity_lsb_per_g,
-            of_counts: accelerometer.unit == AccelerationUnit::Lsb.as_str(),
-            covariance,
-            of_sessions: accelerometer.sessions.len() > 1
-                && quality.is_some_and(|quality| quality.method != CalibrationMethod::Updated),
-            alignment: self.alignment_wxyz,
-            magnetometer: self.magnetometer,
-            gyroscope: self.gyroscope()?,
-        })
-    }
-
-    /// Names the set that it holds.
-    fn seal(&mut self) {
-        let id = self.values().map(|set| parameter_id(&set).to_string());
-        self.parameter_id = id.ok();
-    }
-
-    /// The set for a board.
-    fn set(&self) -> std::result::Result<ParameterSet, String> {
-        let set = self.values()?;
-        match &self.parameter_id {
-            Some(id) if *id == parameter_id(&set).to_string() => Ok(set),
-            _ => Err("the file was edited: its values and parameter_id differ".to_owned()),
-        }
-    }
-
-    /// The gyroscope, whose range and sensitivity have not been checked at reading.
-    fn gyroscope(&self) -> std::result::Result<Option<GyroscopeParameters>, String> {
-        let gyroscope = self.gyroscope.map(|gyroscope| {
-            let GyroscopeParameters { range_dps, rad_s_per_lsb, model, sd, .. } = gyroscope;
+    /// What the types of its fields do not check.
+    fn check(&self) -> std::result::Result<(), String> {
+        if let Some(GyroscopeParameters { range_dps, rad_s_per_lsb, model, sd, .. }) =
+            self.gyroscope
+        {
             GyroscopeParameters::new(range_dps, rad_s_per_lsb, model, sd)
-        });
-        gyroscope.transpose().map_err(|error| error.to_string())
+                .map_err(|error| error.to_string())?;
+        }
+        self.accelerometer.quality()?;
+        match (self.values(), &self.parameter_id) {
+            (Ok(set), id) if *id != Some(parameter_id(&set).to_string()) => {
+                Err("the file was edited: its values and parameter_id differ".to_owned())
+            }
+            _ => Ok(()),
+        }
     }
 
     fn values(&self) -> std::result::Result<ParameterSet, String> {
@@ -350,155 +363,61 @@ impl StoredSensor {
         let (Some(range_g), Some(lsb_per_g)) =
             (accelerometer.range_g, accelerometer.sensitivity_lsb_per_g)
         else {
-            let why = match accelerometer.sensitivity_lsb_per_g {
-                Some(own) => format!("{own:.1} LSB/g is outside the range of boards"),
-                None => "its data were in m/s² or g".to_owned(),
-            };
-            return Err(format!("{NOT_FOR_A_BOARD}: {why}"));
+            return Err(match accelerometer.sensitivity_lsb_per_g {
+                Some(own) => format!(
+                    "it has no parameters for a board: {own:.1} LSB/g is outside the range of boards"
+                ),
+                None => "it has no parameters for a board: its data were in m/s² or g".to_owned(),
+            });
         };
-        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g);
-        let quality = accelerometer.quality.as_ref();
-        let covariance = self.alignment_covariance.as_ref();
+        let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).map_err(|e| e.to_string())?;
         Ok(ParameterSet {
-            model: self.model()?,
-            quality: quality.map(|quality| quality.read(&accelerometer.sessions)).transpose()?,
-            alignment: self.alignment_wxyz,
-            alignment_covariance: covariance.map(Covariance::of_rotation).transpose()?,
+            model: accelerometer.model,
+            quality: accelerometer.quality()?,
+            alignment: self.alignment,
+            alignment_covariance: self.alignment_covariance,
             magnetometer: self.magnetometer,
             sensor: self.sensor,
             sensor_index: self.index,
-            gyroscope: self.gyroscope()?,
-            ..ParameterSet::uncalibrated(range_g, sensitivity.map_err(|e| e.to_string())?)
+            gyroscope: self.gyroscope,
+            ..ParameterSet::uncalibrated(range_g, sensitivity)
         })
     }
 }
 
-fn read(path: &Path) -> Result<CalibrationFile> {
-    #[derive(Deserialize)]
-    struct Head {
-        schema: Option<String>,
-    }
-    let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
-    let head: Head = parse(&name, &text)?;
-    let schema = head.schema.as_deref();
-    if schema == Some(CalibrationFile::SCHEMA) {
-        return parse(&name, &text);
-    }
-    let schema = schema.unwrap_or("missing");
-    let remedy = match schema.starts_with("wimu.calibration/") {
-        true => "update wimu on this computer",
-        false => REMEDY,
-    };
-    let message = format!("its schema is {schema}, not {}", CalibrationFile::SCHEMA);
-    Err(Code::BadCalibration.error(message, remedy).at(name))
-}
-
-fn parse<'a, T: Deserialize<'a>>(name: &str, text: &'a str) -> Result<T> {
-    serde_json::from_str(text).map_err(|error| {
-        let at = format!("{name} line {}, column {}", error.line(), error.column());
-        let message = format!("this is not a calibration file: {error}");
-        Code::BadCalibration.error(message, REMEDY).at(at)
-    })
-}
-
-/// The error of a file whose values are not a calibration.
-fn invalid(path: &Path) -> impl Fn(String) -> Problem {
-    move |message| {
-        let remedy = match message.starts_with(NOT_FOR_A_BOARD) {
-            true => SENSITIVITY_REMEDY,
-            false => "undo the change, or calibrate again",
+impl AccelerometerCalibration {
+    fn quality(&self) -> std::result::Result<Option<CalibrationQuality>, String> {
+        let Some(quality) = &self.quality else { return Ok(None) };
+        let terms = QualityTerms {
+            method: quality.method,
+            utc_s: self.sessions.last().and_then(|session| session.utc_s),
+            temperature: quality.temperature,
+            poses: total(&self.sessions),
+            dof: quality.dof,
+            rms_mps2: quality.rms_mps2,
+            loo_rms_mps2: quality.loo_rms_mps2,
+            condition: quality.condition,
+            covariance: quality.covariance,
+            other_sd: quality.other_sd,
         };
-        Code::BadCalibration.error(message, remedy).at(path.display().to_string())
+        CalibrationQuality::new(terms).map(Some).map_err(|error| error.to_string())
     }
-}
 
-/// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
-///
-/// # Errors
-/// `file_unreadable`; `bad_calibration` when it is not a calibration, has no sensitivity or contains numbers that are out
-/// of bounds.
-pub fn read_parameters(path: &Path) -> Result<ParameterSet> {
-    read(path)?.sensor().and_then(StoredSensor::set).map_err(invalid(path))
-}
-
-/// The parameters in the text of a calibration file.
-pub fn parameters_in(text: &str) -> Option<ParameterSet> {
-    let file: CalibrationFile = serde_json::from_str(text).ok()?;
-    file.sensor().ok()?.set().ok()
-}
-
-/// Indices of the sensors in a calibration file that [`read_parameters`] leaves out; none of an unreadable file.
-pub fn further_sensors(path: &Path) -> Vec<u8> {
-    let Ok(file) = read(path) else {
-        return Vec::new();
-    };
-    let taken = file.sensor().map_or(0, |sensor| sensor.index);
-    let indices = file.sensors.iter().map(|sensor| sensor.index);
-    indices.filter(|index| *index != taken).collect()
-}
-
-/// Output at zero that was subtracted from the counts of a calibration, LSB; `None` of an unreadable file.
-pub fn zero_count(path: &Path) -> Option<f64> {
-    read(path).ok()?.sensor().ok()?.accelerometer.zero_count
-}
-
-/// Checks that a calibration file is of this device, or names none.
-///
-/// # Errors
-/// `other_device`.
-pub fn check_device(path: &Path, id: u64) -> Result<()> {
-    let id = format!("{id:016x}");
-    match read(path)?.device {
-        Some(device) if device != id => Err(Code::OtherDevice
-            .error(
-                format!("this is the calibration of device {device}, the board is device {id}"),
-                "push that of this device; `device params push` and `fleet push` also take another one with --force",
-            )
-            .at(path.display().to_string())),
-        _ => Ok(()),
+    /// Covariance of bias and matrix, sensor axes; `None` where it was not estimated.
+    pub fn covariance(&self) -> Option<ModelCovariance> {
+        self.quality.map(|quality| quality.covariance)
     }
-}
 
-/// The sessions of the calibration `set`: those in the file `path` that it was read from, if there is one.
-pub fn sessions(path: Option<&Path>, set: &ParameterSet) -> Vec<Session> {
-    if let Some(Ok(file)) = path.map(read)
-        && let Ok(sensor) = file.sensor()
-    {
-        return sensor.accelerometer.sessions.clone();
-    }
-    let quality = set.quality.iter().map(CalibrationQuality::terms);
-    let session =
-        |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
-    quality.map(session).collect()
-}
-
-/// The error model in a calibration file.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StoredModel {
-    /// The error model, sensor axes.
-    pub model: ErrorModel,
-    /// Sensitivity that converts counts into its output; `None` where its data were in m/s² or g and none was given.
-    pub sensitivity_lsb_per_g: Option<f64>,
-    /// Whether it was estimated from counts: then it does not apply to output in m/s², which was scaled elsewhere.
-    pub of_counts: bool,
-    /// Covariance of bias and matrix, sensor axes; `None` where the file does not contain it.
-    pub covariance: Option<ModelCovariance>,
     /// Whether it combines sessions: its covariance is that of a new session, with the change between sessions.
-    pub of_sessions: bool,
-    /// Sensor axes to body axes.
-    pub alignment: Alignment,
-    /// Model of the magnetometer beside it.
-    pub magnetometer: Option<MagnetometerModel>,
-    /// Model of the gyroscope, for counts and for output in rad/s.
-    pub gyroscope: Option<GyroscopeParameters>,
-}
+    pub fn of_sessions(&self) -> bool {
+        let updated = |quality: &Quality| quality.method == CalibrationMethod::Updated;
+        self.sessions.len() > 1 && self.quality.is_some_and(|quality| !updated(&quality))
+    }
 
-impl StoredModel {
     /// Standard deviation of the specific force at 1 *g* on the worst axis, m/s², of bias, scale factor and misalignment
     /// together; 0 where it is not known.
     pub fn bias_sd_mps2(&self) -> f64 {
-        self.covariance.map_or(0.0, |known| worst_sd(|place| known.sd(place)))
+        self.covariance().map_or(0.0, |known| worst_sd(|place| known.sd(place)))
     }
 
     /// m/s² of one unit of the output that it corrects: of one LSB where a sensitivity is known, else 1.
@@ -508,12 +427,20 @@ impl StoredModel {
     }
 }
 
-/// Reads the error model of a calibration file, of any sensor.
-///
-/// # Errors
-/// `file_unreadable`; `bad_calibration` when it is not a calibration, or contains numbers that are out of bounds.
-pub fn read_model(path: &Path) -> Result<StoredModel> {
-    read(path)?.model(path)
+impl From<&CalibrationQuality> for Quality {
+    fn from(quality: &CalibrationQuality) -> Self {
+        let terms = quality.terms();
+        Self {
+            method: terms.method,
+            temperature: terms.temperature,
+            dof: terms.dof,
+            rms_mps2: terms.rms_mps2,
+            loo_rms_mps2: terms.loo_rms_mps2,
+            condition: terms.condition,
+            covariance: terms.covariance,
+            other_sd: terms.other_sd,
+        }
+    }
 }
 
 /// Standard deviation of the specific force corrected by a parameter set at 1 *g* on the worst axis, m/s²; `None` if
@@ -530,11 +457,4 @@ pub(crate) fn worst_sd(sd: impl Fn(usize) -> f64) -> f64 {
         row.fold(sd(axis), f64::hypot)
     };
     (0..3).map(of_axis).fold(0.0, f64::max)
-}
-
-/// An assumed range of a calibration file.
-pub(super) fn range_finding(path: &Path, set: &ParameterSet) -> Option<Problem> {
-    let source = read(path).ok()?.sensor().ok()?.accelerometer.range_source;
-    let likely = Range { g: set.range_g, source: Source::SixteenBits };
-    (source == Some(Source::SixteenBits)).then(|| likely.finding(set.sensitivity))?
 }

@@ -9,6 +9,7 @@ use wimu_calib::{
 };
 use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
 
+use super::report::AXES;
 use crate::digits::{signed_with_sd, significant, with_sd};
 use crate::plural::counted;
 use crate::recording::{Samples, Unit};
@@ -18,7 +19,12 @@ use crate::{Code, Problem};
 const USUAL_DPS: f64 = 2000.0;
 /// A scale factor farther from 1 is beyond the tolerance of any gyroscope.
 const TOLERANCE: f64 = 0.1;
-const AXES: [&str; 3] = ["X", "Y", "Z"];
+/// Usual sensitivities, LSB per °/s: of ±250 to ±2000 °/s by InvenSense, of ±245 to ±2000 °/s by ST (datasheets of MPU-6050,
+/// LSM6DSO), and of the ITG-3200.
+const USUAL_LSB_PER_DPS: [f64; 9] =
+    [131.0, 65.5, 32.8, 16.4, 1e3 / 8.75, 1e3 / 17.5, 1e3 / 35.0, 1e3 / 70.0, 14.375];
+/// Counts of 16 bits from which on an axis may be clipped.
+const LARGEST_COUNT: f64 = 32_700.0;
 /// Where A and G begin among the parameters.
 const MATRIX: usize = 3;
 const G_SENSITIVITY: usize = 12;
@@ -56,34 +62,43 @@ pub(super) fn calibrate(
 ) -> Option<GyroscopeReport> {
     let track = data.rate.filter(|_| !data.poses)?;
     let full_scale = track.info.full_scale;
-    let (si, lsb) = match track.info.unit {
-        Unit::Si => (1.0, None),
-        Unit::Counts { si_per_lsb: Some(si) } => (si, Some(si)),
-        _ => {
-            let finding =
-                Code::Uncalibrated.note("the gyroscope is not calibrated: its unit is not known");
-            findings.push(finding.remedy("name the unit in its columns: deg/s or rad/s"));
-            return None;
-        }
-    };
-    let samples = data.six_axis(track, mps2, si);
     let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(&k)).then_some(*pose);
     let poses: Vec<Pose> = poses.iter().enumerate().filter_map(kept).collect();
     let accelerometer = AccelerometerCalibration::from(accelerometer);
-    let full_scale_rad_s = full_scale.or(lsb.map(|lsb| 32_700.0 * lsb));
+    let estimate = |rad_s: f64, is_count: bool| {
+        let samples = data.six_axis(track, mps2, rad_s);
+        at_rests(poses.clone(), |poses| {
+            let session = GyroscopeSession {
+                poses,
+                samples: &samples,
+                accelerometer: &accelerometer,
+                full_scale_rad_s: full_scale.or(is_count.then_some(LARGEST_COUNT * rad_s)),
+            };
+            session.estimate()
+        })
+    };
     let refused = |reason: String| {
         Code::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
     };
-    let estimate = at_rests(poses, |poses| {
-        let session = GyroscopeSession {
-            poses,
-            samples: &samples,
-            accelerometer: &accelerometer,
-            full_scale_rad_s,
-        };
-        session.estimate()
-    });
-    let (estimate, turning) = match estimate {
+    let (found, lsb) = match track.info.unit {
+        Unit::Si => (estimate(1.0, false), None),
+        Unit::Counts { si_per_lsb: Some(rad_s) } => (estimate(rad_s, true), Some(rad_s)),
+        _ => {
+            let Some((found, rad_s)) = usual(|rad_s| estimate(rad_s, true).ok()) else {
+                let text = "the gyroscope is not calibrated: its unit is not known, and no usual sensitivity fits";
+                let remedy = "name the unit in its columns: deg/s or rad/s";
+                findings.push(Code::Uncalibrated.note(text).remedy(remedy));
+                return None;
+            };
+            let lsb_per_dps = 1.0 / rad_s.to_degrees();
+            let text = format!(
+                "gyroscope: {lsb_per_dps:.1} LSB per °/s fits its counts, of the usual sensitivities"
+            );
+            findings.push(Code::UnitInferred.note(text));
+            (Ok(found), Some(rad_s))
+        }
+    };
+    let (estimate, turning) = match found {
         Ok(found) => found,
         Err(refusal) => {
             findings.push(refused(refusal.to_string()));
@@ -133,6 +148,20 @@ fn at_rests(
             found => return found.map(|found| (found, turning)),
         }
     }
+}
+
+/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with scale factors within the
+/// tolerance, the one with the smallest error after turns.
+fn usual<T>(
+    estimate: impl Fn(f64) -> Option<(GyroscopeEstimate, T)>,
+) -> Option<((GyroscopeEstimate, T), f64)> {
+    let tried = USUAL_LSB_PER_DPS.map(|lsb_per_dps| (1.0 / lsb_per_dps).to_radians());
+    let found = tried.into_iter().filter_map(|rad_s| Some((estimate(rad_s)?, rad_s)));
+    let fits = found.filter(|((estimate, _), _)| {
+        let matrix = estimate.model.terms().matrix;
+        (0..3).all(|axis| (matrix[axis][axis] - 1.0).abs() < TOLERANCE)
+    });
+    fits.min_by(|((a, _), _), ((b, _), _)| a.rms_rad.total_cmp(&b.rms_rad))
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {

@@ -2,20 +2,20 @@
 
 use std::fmt;
 
-use crate::calibration::parameter_id;
+use super::{Calibration, parameter_id};
 use serde::Serialize;
 use wimu_calib::{
     Guide, MagneticEstimate, MagneticPose, Model, Orientation, Pose, Reason, magnetometer,
 };
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
-use super::input::magnitude;
+use super::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::digits::significant;
 use crate::html::Report;
 use crate::problem::Outcome;
-use crate::recording::{OutputUnit, RateSource, Samples};
+use crate::recording::{RateSource, Samples};
 use crate::{Code, Problem, Result};
 
 /// The report of `wimu calibrate --method magnetometer`, and a file that `wimu device params push` reads.
@@ -76,22 +76,23 @@ pub struct FieldPose {
     pub residual_ut: Option<f64>,
 }
 
-/// Estimates the magnetometer beside an accelerometer that `set` corrects; its model replaces
-/// the one in `set`. `dip_rad` is the dip of the local field, rad, positive down; without it the field
+/// Estimates the magnetometer beside an accelerometer that `calibration` corrects; its model replaces
+/// the one in its parameters. `dip_rad` is the dip of the local field, rad, positive down; without it the field
 /// is assumed to point down.
 ///
 /// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
-/// `csv_missing_column`, `data_refused` without a magnetic field; `data_refused` when the data were
-/// taken at another range than that of `set`.
+/// `csv_missing_column`, `data_refused` without a magnetic field; those of [`Calibration::parameters`] and
+/// [`SensorCalibration::compile`](super::SensorCalibration::compile).
 pub fn calibrate_magnetometer(
     data: &Samples<'_>,
-    set: &ParameterSet,
+    calibration: &Calibration,
     dip_rad: Option<f64>,
 ) -> Result<MagnetometerReport> {
-    check(data, set)?;
-    let forces = data.corrected(set);
+    check(data)?;
+    let set = &calibration.parameters()?;
+    let forces = data.corrected(calibration.sensor())?;
     let rests = if data.poses {
         let rest = |(index, force): (usize, &[f64; 3])| Pose {
             first_sample: index as u64,
@@ -158,31 +159,21 @@ pub fn calibrate_magnetometer(
     Ok(report)
 }
 
-fn check(data: &Samples<'_>, set: &ParameterSet) -> Result<()> {
-    if data.iter().all(|o| o.magnetic_field_nt.is_none()) {
-        let error = match data.rate_source {
-            RateSource::Device => Code::DataRefused.error("the link carried no magnetic field: the board has no magnetometer, or does not send it",
-                "use a board that has one, and have its link carry `environment`: see `wimu device settings set --help`",
-            ),
-            _ => Code::CsvMissingColumn.error("the file has no magnetometer",
-                "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
-            ),
-        };
-        return Err(error.at(data.name));
+fn check(data: &Samples<'_>) -> Result<()> {
+    if data.iter().any(|o| o.magnetic_field_nt.is_some()) {
+        return Ok(());
     }
-    match data.unit {
-        OutputUnit::Counts {
-            range_g: Some(range_g),
-            ..
-        } if range_g != set.range_g => Err(Code::DataRefused.error(format!(
-                    "the data were recorded at ±{range_g} g, the accelerometer's calibration is for ±{} g",
-                set.range_g
-            ),
-            "calibrate the accelerometer at that range first",
-        )
-        .at(data.name)),
-        _ => Ok(()),
-    }
+    let error = match data.rate_source {
+        RateSource::Device => Code::DataRefused.error(
+            "the link carried no magnetic field: the board has no magnetometer, or does not send it",
+            "use a board that has one, and have its link carry `environment`: see `wimu device settings set --help`",
+        ),
+        _ => Code::CsvMissingColumn.error(
+            "the file has no magnetometer",
+            "name the columns `Magnetometer X (µT)`, `Magnetometer Y (µT)` and `Magnetometer Z (µT)`",
+        ),
+    };
+    Err(error.at(data.name))
 }
 
 /// Below this dip the signs of the axes are not observable, degrees. Chosen.

@@ -5,8 +5,8 @@ use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_model::{Sensitivity, SensorId};
 
-use super::input::median_magnitude;
-use super::numbers::MAX_POSES;
+use super::poses::median_magnitude;
+use super::report::MAX_POSES;
 use crate::capture;
 use crate::decode::sequence_order;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};

@@ -4,23 +4,30 @@ use std::fmt;
 
 use serde::Serialize;
 use wimu_calib::{
-    AxisTransfer, Line, NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer,
+    AxisTransfer, NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer,
 };
 use wimu_model::{
-    CalibrationMethod, CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
-    Sensitivity, TermDeviations,
+    Alignment, CalibrationMethod, CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance,
+    ParameterSet, QualityTerms, Sensitivity, TermDeviations,
 };
 
-use super::input::{magnitude, median};
+use super::checks::no_sensitivity;
+use super::file::Quality;
 use super::paired::Paired;
-use super::range::Range;
-use super::words::no_sensitivity;
-use super::{CalibrationFile, Source};
+use super::poses::{range, range_note};
+use super::report::{AXES, deviations};
+use super::{
+    AccelerometerCalibration, Calibration, Correction, SensorCalibration, Session, Source,
+    parameter_id,
+};
+use super::{magnitude, median};
+use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
+use crate::html::Report;
 use crate::plural::counted;
 use crate::problem::{Outcome, without_unit};
-use crate::{Code, Result};
+use crate::{Code, Problem, Result};
 
 /// An axis in a [`ReferenceReport`].
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -99,7 +106,7 @@ pub struct ReferenceReport {
     pub parameter_id: Option<String>,
     /// The calibration file.
     #[serde(skip)]
-    pub file: Option<CalibrationFile>,
+    pub file: Option<Calibration>,
 }
 
 /// Bias and scale factor of one stream against the other.
@@ -115,14 +122,6 @@ pub fn compare_with_reference(
     noise_ratio: Option<f64>,
     utc_s: Option<u64>,
 ) -> Result<ReferenceReport> {
-    let given = |ratio: f64| {
-        NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
-            Code::Usage.error(
-                format!("a noise ratio of {ratio} is not possible"),
-                "hold both still for ten seconds in the recording: that gives the noise of both",
-            )
-        })
-    };
     let (ratio, known_from) = match noise_ratio {
         Some(ratio) => (Some(given(ratio)?), NoiseSource::Given),
         None => (noise_ratio_at([0, 1].map(|which| data.rests(which))), NoiseSource::Rests),
@@ -153,114 +152,137 @@ pub fn compare_with_reference(
             return Ok(report);
         }
     };
-    let mut findings = Vec::from_iter(without_unit(data.without_unit, "sample", "left out"));
     report.dof = Some(dof(&found));
-    report.axes = Some(found.axes.map(|axis| AxisReport {
-        offset_m_s2: axis.offset_mps2,
-        offset_sd_m_s2: axis.offset_sd_mps2,
-        at_m_s2: axis.at_mps2,
-        motion_m_s2: axis.motion_mps2,
-        rms_mm_s2: axis.rms_mps2 * 1e3,
-        separated: axis.line.is_some(),
-        noise_from: axis.line.map(|line| match line.noise_from {
-            NoiseFrom::Ratio => known_from,
-            NoiseFrom::Neighbours => NoiseSource::Neighbours,
-            NoiseFrom::Bounds => NoiseSource::Bounds,
-        }),
-    }));
-    let model = match found.model() {
-        Ok(model) => model,
-        Err(error) => {
-            report.outcome.refuse(format!(
-                "the result is not possible for an accelerometer: {error}; check the units of both streams"
-            ));
-            return Ok(report);
-        }
-    };
-    let names = ["X", "Y", "Z"];
-    for (axis, transfer) in names.into_iter().zip(&found.axes) {
-        for (other, seen) in names.into_iter().zip(transfer.cross_axis) {
-            if seen != 0.0 {
-                findings.push(Code::Axes.note(format!(
-                    "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in the model",
-                    seen * 100.0
-                )));
-            }
-        }
-        let unseen = |line: &Line, other: usize| !data.one_sensor && !line.fitted[other];
-        if let Some(line) = transfer.line {
-            let out: Vec<_> = (0..3).filter(|&other| unseen(&line, other)).collect();
-            if !out.is_empty() {
-                let others: Vec<_> = out.iter().map(|&other| names[other]).collect();
-                let text = format!(
-                    "{} of the reference hardly moved on its own: a cross-axis sensitivity of {axis} to it of 2 % (1 σ) is \
-                     included in ±",
-                    others.join(" and ")
-                );
-                let finding = Code::Axes.warning(text);
-                findings.push(finding.remedy("move it through all orientations"));
-            }
+    report.axes = Some(found.axes.each_ref().map(|axis| AxisReport::new(axis, known_from)));
+    match found.model() {
+        Ok(model) => report.complete(data, &found, model, utc_s),
+        Err(error) => report.outcome.refuse(format!(
+            "the result is not possible for an accelerometer: {error}; check the units of both streams"
+        )),
+    }
+    Ok(report)
+}
+
+fn given(ratio: f64) -> Result<NoiseRatio> {
+    NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
+        Code::Usage.error(
+            format!("a noise ratio of {ratio} is not possible"),
+            "hold both still for ten seconds in the recording: that gives the noise of both",
+        )
+    })
+}
+
+impl AxisReport {
+    fn new(axis: &AxisTransfer, known_from: NoiseSource) -> Self {
+        Self {
+            offset_m_s2: axis.offset_mps2,
+            offset_sd_m_s2: axis.offset_sd_mps2,
+            at_m_s2: axis.at_mps2,
+            motion_m_s2: axis.motion_mps2,
+            rms_mm_s2: axis.rms_mps2 * 1e3,
+            separated: axis.line.is_some(),
+            noise_from: axis.line.map(|line| match line.noise_from {
+                NoiseFrom::Ratio => known_from,
+                NoiseFrom::Neighbours => NoiseSource::Neighbours,
+                NoiseFrom::Bounds => NoiseSource::Bounds,
+            }),
         }
     }
-    report.not_observed = Parameter::ALL
-        .into_iter()
-        .filter(|parameter| match parameter.index() {
+}
+
+impl ReferenceReport {
+    /// The numbers of the model, and what holds them.
+    fn complete(&mut self, data: &Paired, found: &Transfer, model: ErrorModel, utc_s: Option<u64>) {
+        let is_unobserved = |parameter: &Parameter| match parameter.index() {
             0..3 => false,
             of_a => {
                 let line = found.axes[(of_a - 3) / 3].line;
                 line.is_none_or(|line| !line.fitted[(of_a - 3) % 3])
             }
-        })
-        .map(|parameter| parameter.to_string())
-        .collect();
-    let covariance = covariance(&found);
-    let sd = |index: usize| covariance[index][index].sqrt();
+        };
+        let unobserved = Parameter::ALL.into_iter().filter(is_unobserved);
+        self.not_observed = unobserved.map(|parameter| parameter.to_string()).collect();
+        self.terms = terms(found);
+        let covariance = covariance(found);
+        self.model = Some(*model.terms());
+        self.sd = Some(deviations(|place| covariance[place][place].sqrt(), [[0.0; 3]; 2]));
+        self.covariance = Some(covariance);
+        let range = range(data.unit, data.range_g, data.sensitivity);
+        let board = data.sensitivity.zip(range);
+        let range = board.map(|(_, range)| range);
+        self.range_source = range.map(|(_, source)| source);
+        let problems = &mut self.outcome.findings;
+        problems.extend(without_unit(data.without_unit, "sample", "left out"));
+        problems.extend(of_axes(found, data.one_sensor));
+        problems.extend(board.and_then(|(sensitivity, range)| range_note(range, sensitivity)));
+        problems.extend(board.is_none().then(no_sensitivity));
+        let quality = quality(found, &covariance, utc_s);
+        let accelerometer = AccelerometerCalibration {
+            unit: data.sensitivity.map_or(AccelerationUnit::Mps2, |_| AccelerationUnit::Lsb),
+            range_g: range.map(|(g, _)| g),
+            range_source: self.range_source,
+            sensitivity_lsb_per_g: self.sensitivity_lsb_per_g,
+            zero_count: None,
+            model,
+            quality: quality.as_ref().map(Quality::from),
+            sessions: vec![Session {
+                utc_s,
+                file: Some(data.name.clone()),
+                poses: quality.map_or(0, |quality| quality.terms().poses),
+            }],
+        };
+        let calibration = Calibration::of(SensorCalibration::new(data.sensor, accelerometer));
+        let calibration = calibration.of_device(data.device_id);
+        self.parameters = calibration.parameters().ok();
+        self.parameter_id = self.parameters.as_ref().map(|set| parameter_id(set).to_string());
+        self.file = Some(calibration);
+    }
+}
+
+/// What was estimated on every axis.
+fn terms(found: &Transfer) -> &'static [&'static str] {
     let fitted = |axis: &AxisTransfer| axis.line.map_or([false; 3], |line| line.fitted);
-    report.terms = if found.axes.iter().all(|axis| fitted(axis) == [true; 3]) {
-        &["bias", "scale", "misalignment"]
-    } else if found.axes.iter().all(|axis| axis.line.is_some()) {
-        &["bias", "scale"]
-    } else if found.axes.iter().any(|axis| axis.line.is_some()) {
-        &["bias", "scale where it moved"]
-    } else {
-        &["offset"]
-    };
-    report.model = Some(*model.terms());
-    report.sd = Some(ErrorTerms {
-        bias_mps2: [sd(0), sd(1), sd(2)],
-        matrix: std::array::from_fn(|row| std::array::from_fn(|col| sd(3 + 3 * row + col))),
-        ..super::numbers::no_terms()
-    });
-    report.covariance = Some(covariance);
-    let range = Range::of(data.unit, data.range_g, data.sensitivity);
-    let board = data.sensitivity.zip(range);
-    report.range_source = board.map(|(_, range)| range.source);
-    findings.extend(board.and_then(|(sensitivity, range)| range.finding(sensitivity)));
-    findings.extend(board.is_none().then(no_sensitivity));
-    report.outcome.findings = findings;
-    let quality = quality(&found, &covariance, utc_s);
-    report.file = CalibrationFile::of_model(
-        model,
-        quality,
-        data.sensor,
-        match data.sensitivity {
-            Some(_) => AccelerationUnit::Lsb,
-            None => AccelerationUnit::Mps2,
-        },
-        data.sensitivity.map(Sensitivity::lsb_per_g),
-        range.filter(|_| board.is_some()),
-        &data.name,
-    )
-    .map(|file| file.of_device(data.device_id));
-    report.parameters = board.map(|(sensitivity, range)| ParameterSet {
-        model,
-        quality,
-        sensor: data.sensor,
-        ..ParameterSet::uncalibrated(range.g, sensitivity)
-    });
-    report.parameter_id =
-        report.parameters.as_ref().map(|set| crate::calibration::parameter_id(set).to_string());
-    Ok(report)
+    if found.axes.iter().all(|axis| fitted(axis) == [true; 3]) {
+        return &["bias", "scale", "misalignment"];
+    }
+    match found.axes.iter().filter(|axis| axis.line.is_some()).count() {
+        3 => &["bias", "scale"],
+        0 => &["offset"],
+        _ => &["bias", "scale where it moved"],
+    }
+}
+
+/// Cross-axis sensitivities that were seen, and those that the motion does not show.
+fn of_axes(found: &Transfer, one_sensor: bool) -> Vec<Problem> {
+    let mut problems = Vec::new();
+    for (axis, transfer) in AXES.into_iter().zip(&found.axes) {
+        for (other, seen) in AXES.into_iter().zip(transfer.cross_axis) {
+            if seen != 0.0 {
+                problems.push(Code::Axes.note(format!(
+                    "cross-axis sensitivity of {axis} to {other} of the reference: {:+.1} % (axes not parallel); included in \
+                     the model",
+                    seen * 100.0
+                )));
+            }
+        }
+        let Some(line) = transfer.line.filter(|_| !one_sensor) else { continue };
+        let unseen: Vec<&str> = AXES
+            .into_iter()
+            .zip(line.fitted)
+            .filter(|(_, seen)| !seen)
+            .map(|(name, _)| name)
+            .collect();
+        if unseen.is_empty() {
+            continue;
+        }
+        let text = format!(
+            "{} of the reference hardly moved on its own: a cross-axis sensitivity of {axis} to it of 2 % (1 σ) is included in \
+             ±",
+            unseen.join(" and ")
+        );
+        problems.push(Code::Axes.warning(text).remedy("move it through all orientations"));
+    }
+    problems
 }
 
 /// Fewest degrees of freedom of any standard deviation.
@@ -355,7 +377,7 @@ impl fmt::Display for ReferenceReport {
             }
         };
         let mut noises: Vec<(&str, Vec<&str>)> = Vec::new();
-        for (axis, (name, report)) in ["X", "Y", "Z"].into_iter().zip(axes).enumerate() {
+        for (axis, (name, report)) in AXES.into_iter().zip(axes).enumerate() {
             if report.separated {
                 let source = noise(report);
                 match noises.iter_mut().find(|(known, _)| *known == source) {
@@ -384,5 +406,33 @@ impl fmt::Display for ReferenceReport {
             writeln!(out, "{}: {source}", names.join(", "))?;
         }
         write!(out, "± is 1 σ with {} of freedom", counted(self.dof.unwrap_or(0), "degree"))
+    }
+}
+
+impl ReferenceReport {
+    /// A page: the difference of each axis from the reference in `data`, before and after correction.
+    pub fn page(&self, data: &Paired) -> Report {
+        let title = format!("{} against {}", self.output, self.reference);
+        let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
+        let Some(model) = self.model.and_then(|terms| ErrorModel::new(terms).ok()) else {
+            return page;
+        };
+        let correction = Correction::of_model(model, 1.0, Alignment::IDENTITY.matrix());
+        for (axis, name) in AXES.into_iter().enumerate() {
+            let over_time = |of: &dyn Fn([f64; 3]) -> [f64; 3]| {
+                let pairs = data.pairs.iter().enumerate();
+                let point = |(k, [reference, output]): (usize, &[[f64; 3]; 2])| {
+                    (k as f64 / data.rate_hz, (of(*output)[axis] - reference[axis]) * 1e3)
+                };
+                pairs.map(point).collect()
+            };
+            let series = vec![
+                Series::line("before correction", over_time(&|output| output)),
+                Series::line("after correction", over_time(&|raw| correction.sample(raw, None))),
+            ];
+            let title = format!("{name}: output less reference");
+            page.chart(&Chart::new(title, "time, s", "mm/s²", series));
+        }
+        page
     }
 }

@@ -2,7 +2,7 @@
 
 use wimu_calib::{Pose, is_clipped};
 
-use super::input::median;
+use super::median;
 
 /// The axis whose noise is cut off at the limit of its output in some poses.
 pub(super) fn at_rest(samples: impl Iterator<Item = [f64; 3]>, poses: &[Pose]) -> Option<usize> {

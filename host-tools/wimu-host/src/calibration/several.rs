@@ -1,23 +1,29 @@
 //! Several calibration sessions of one sensor.
 
-use crate::calibration::parameter_id;
+use std::fmt;
+
 use serde::Serialize;
 use wimu_calib::{Combined, Estimate, Gravity, Parameter, combine};
 use wimu_model::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel,
-    ErrorTerms, ModelCovariance, ParameterSet, QualityTerms, SpecificForceMps2, TemperatureTerms,
-    TermDeviations,
+    ErrorTerms, ModelCovariance, ParameterSet, QualityTerms, SpecificForceMps2, TermDeviations,
 };
 
-use super::gravity;
-use super::input::{magnitude, rms};
+use super::file::Quality;
+use super::poses::rms;
+use super::report::{AXES, deviations, page, parameters, sizes, temperature};
 use super::{
-    CalibrateOptions, CalibrationFile, CalibrationReport, MethodChoice, Session, Source, calibrate,
+    CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Session, Source, calibrate,
+    checks, magnitude, parameter_id,
 };
-use crate::problem::Outcome;
+use crate::chart::{Chart, Series};
+use crate::digits::{significant, with_sd};
+use crate::html::Report;
+use crate::plural::counted;
+use crate::problem::{Outcome, Severity};
 use crate::recording::{OutputUnit, Samples};
 use crate::untrusted::printable;
-use crate::{Code, Result, Severity};
+use crate::{Code, Result};
 
 /// Standard deviations of one kind of parameters.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -93,7 +99,7 @@ pub struct SeveralReport {
     pub parameter_id: Option<String>,
     /// The calibration file.
     #[serde(skip)]
-    pub file: Option<CalibrationFile>,
+    pub file: Option<Calibration>,
 }
 
 /// The numbers of a combination.
@@ -132,7 +138,7 @@ pub fn calibrate_several(
     options: &CalibrateOptions,
 ) -> Result<SeveralReport> {
     check(data, options)?;
-    let (gravity, gravity_source) = gravity::gravity(options)?;
+    let (gravity, gravity_source) = options.gravity()?;
     let mut each = options.clone();
     (each.gravity_mps2, each.place) = (Some(gravity.mps2()), None);
     let mut report = SeveralReport {
@@ -256,20 +262,13 @@ impl SeveralReport {
             departure,
             temperature: found.temperature,
             model: terms,
-            sd: ErrorTerms {
-                bias_mps2: [sd[0], sd[1], sd[2]],
-                matrix: [0, 1, 2].map(|row| [0, 1, 2].map(|column| sd[3 + 3 * row + column])),
-                temperature: TemperatureTerms {
-                    reference_c: 0.0,
-                    bias_mps2_per_k: found.slope_sd.bias_mps2_per_k,
-                    bias_mps2_per_k2: [0.0; 3],
-                    scale_per_k: found.slope_sd.scale_per_k,
-                },
-                nonlinearity: [0.0; 3],
-            },
+            sd: deviations(
+                |place| sd[place],
+                [found.slope_sd.bias_mps2_per_k, found.slope_sd.scale_per_k],
+            ),
             covariance: *found.covariance.matrix(),
         };
-        self.find(&fit, found, singles);
+        self.find(&fit, found, singles, gravity);
         self.fit = Some(fit);
         self.sensitivity_lsb_per_g = singles[0].sensitivity_lsb_per_g;
         let quality = quality(found, estimates, options, rms_mm_s2);
@@ -285,12 +284,23 @@ impl SeveralReport {
                 poses: u32::try_from(estimate.poses).unwrap_or(u32::MAX),
             })
             .collect();
-        self.file = (singles[0].file.clone())
-            .map(|file| file.with_sessions(&found.model, quality.as_ref(), sessions));
+        self.file.clone_from(&singles[0].file);
+        if let Some(file) = &mut self.file {
+            let accelerometer = &mut file.sensor_mut().accelerometer;
+            accelerometer.model = found.model;
+            accelerometer.quality = quality.as_ref().map(Quality::from);
+            accelerometer.sessions = sessions;
+        }
     }
 
     /// Warnings of the sessions, and what their combination shows.
-    fn find(&mut self, fit: &SeveralFit, found: &Combined, singles: &[CalibrationReport]) {
+    fn find(
+        &mut self,
+        fit: &SeveralFit,
+        found: &Combined,
+        singles: &[CalibrationReport],
+        gravity: Gravity,
+    ) {
         let findings = &mut self.outcome.findings;
         for (k, single) in singles.iter().enumerate() {
             for finding in &single.outcome.findings {
@@ -321,8 +331,7 @@ impl SeveralReport {
             findings.push(Code::Temperature.note(text));
         }
         let (model, source) = (found.model.terms(), self.gravity_source);
-        let gravity = [self.gravity_m_s2, self.gravity_sd_m_s2];
-        let of_gravity = gravity::finding(model, &found.covariance, found.fitted, gravity, source);
+        let of_gravity = checks::gravity(model, &found.covariance, found.fitted, gravity, source);
         findings.extend(of_gravity);
     }
 }
@@ -362,4 +371,88 @@ fn quality(
     .ok()
 }
 
-mod text;
+impl fmt::Display for SeveralReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(fit) = &self.fit else {
+            return write!(out, "{}", self.outcome);
+        };
+        let of = |value: f64, unit: f64| significant(value * unit, 3);
+        let (between, within) = (&fit.between_sd, &fit.within_sd);
+        let changes = |between: f64, within: f64, unit: f64, name: &str| {
+            if between > 0.0 {
+                return format!("± {} {name} (± {})", of(between, unit), of(within, unit));
+            }
+            format!("no change seen (± {} {name})", of(within, unit))
+        };
+        writeln!(
+            out,
+            "{}: bias repeats within ± {} mm/s² between sessions (± {} within one)\n\
+             scale factor {}, misalignment {}\n\
+             |f| − g over all poses: {} mm/s² rms before, {} after",
+            counted(self.sessions.len(), "session"),
+            of(between.bias_m_s2, 1e3),
+            of(within.bias_m_s2, 1e3),
+            changes(between.scale, within.scale, 1e6, "ppm"),
+            changes(between.misalignment_rad, within.misalignment_rad, 1e3, "mrad"),
+            significant(fit.uncalibrated_rms_mm_s2.unwrap_or_default(), 3),
+            significant(fit.rms_mm_s2.unwrap_or_default(), 3),
+        )?;
+        parameters(&fit.model, &fit.sd, &fit.fitted, &[], out)?;
+        temperature(&fit.model, &fit.sd, fit.temperature, out)?;
+        for session in &self.sessions {
+            let sizes = session.bias_difference_m_s2.map(f64::abs);
+            let at = session.temperature_c;
+            let at = at.map_or(String::new(), |celsius| format!("{celsius:.1} °C, "));
+            writeln!(
+                out,
+                "{}: {}, {at}{} mm/s² rms, bias differs by up to {} mm/s²",
+                session.source,
+                counted(session.poses, "pose"),
+                significant(session.rms_mm_s2.unwrap_or_default(), 3),
+                of(sizes.into_iter().fold(0.0, f64::max), 1e3),
+            )?;
+        }
+        let gravity = match self.gravity_sd_m_s2 {
+            0.0 => self.gravity_m_s2.to_string(),
+            sd => with_sd(self.gravity_m_s2, sd),
+        };
+        write!(out, "{}, g = {gravity} m/s²; ± is 1 σ of a new session", self.method)
+    }
+}
+
+impl SeveralReport {
+    /// A page: the difference of each session's bias from the combination, and the residuals of each session.
+    pub fn page(&self) -> Report {
+        let names: Vec<String> = self.sessions.iter().map(|s| s.source.clone()).collect();
+        let title = format!("Calibration of {}", names.join(", "));
+        let mut page = page(title, &self.outcome, &self.to_string(), 0);
+        if self.fit.is_none() {
+            return page;
+        }
+        let is_warm = self.sessions.iter().all(|session| session.temperature_c.is_some());
+        let x = if is_warm { "temperature, °C" } else { "session" };
+        let placed = |mut series: Series, labels: &[String]| {
+            for (point, session) in series.points.iter_mut().zip(&self.sessions) {
+                point.0 = session.temperature_c.filter(|_| is_warm).unwrap_or(point.0);
+            }
+            Series { labels: labels.to_vec(), ..series }
+        };
+        let bias = |axis: usize| {
+            let of = |session: &SessionReport| session.bias_difference_m_s2[axis] * 1e3;
+            let points = self.sessions.iter().enumerate().map(|(k, s)| (k as f64, of(s)));
+            let labels = if axis == 0 { &names[..] } else { &[] };
+            placed(Series::dots(AXES[axis], points.collect()), labels)
+        };
+        let title = "Bias of each session less that of the combination";
+        page.chart(&Chart::new(title, x, "mm/s²", [0, 1, 2].map(bias).into()));
+        let own = self.sessions.iter().map(|session| Some(session.own_rms_mm_s2));
+        let combined = self.sessions.iter().map(|session| session.rms_mm_s2);
+        let series = vec![
+            placed(sizes("its own calibration", own), &[]),
+            placed(sizes("combined calibration", combined), &names),
+        ];
+        let title = "Size of |f| − g in each session, rms";
+        page.chart(&Chart { log: true, ..Chart::new(title, x, "mm/s²", series) });
+        page
+    }
+}

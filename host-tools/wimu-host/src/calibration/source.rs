@@ -9,7 +9,7 @@ use wimu_model::{
     ParameterSet, Sensitivity,
 };
 
-use super::{CalibrationFile, parameter_id, read_parameters};
+use super::{Calibration, parameter_id, read_parameters};
 use crate::keys;
 use crate::{Code, Problem, Result};
 
@@ -99,19 +99,19 @@ pub fn keep(set: &ParameterSet) -> Result<()> {
     if path.exists() {
         return Ok(());
     }
-    let failed = |error| crate::Problem::file(&folder.display().to_string(), "create", &error);
+    let failed = |error| Problem::file(&folder.display().to_string(), "create", &error);
     std::fs::create_dir_all(&folder).map_err(failed)?;
-    CalibrationFile::new(set, &[], "").write(&path)
+    Calibration::held(set).write(&path)
 }
 
 /// A calibration as a recording keeps it.
 pub fn to_text(set: &ParameterSet) -> String {
-    serde_json::to_string(&CalibrationFile::new(set, &[], "")).unwrap_or_default()
+    Calibration::held(set).text()
 }
 
 /// Remembers a calibration that a recording has kept in this process; a damaged one is left out.
 pub fn learn_text(text: &str) {
-    if let Some(set) = super::file::parameters_in(text) {
+    if let Ok(set) = Calibration::parse(text).and_then(|calibration| calibration.parameters()) {
         learn(&set);
     }
 }

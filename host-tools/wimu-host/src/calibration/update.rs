@@ -2,15 +2,17 @@
 
 use std::fmt;
 
-use crate::calibration::parameter_id;
+use super::{Calibration, parameter_id};
 use serde::Serialize;
 use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
 use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
 
-use super::input::poses;
+use super::poses::Poses;
+use crate::chart::{Band, Chart, Series};
 use crate::digits::signed_with_sd;
+use crate::html::Report;
 use crate::problem::Outcome;
-use crate::recording::{OutputUnit, Samples};
+use crate::recording::Samples;
 use crate::{Code, Problem, Result};
 
 /// A rest compared with the stored calibration.
@@ -58,14 +60,15 @@ pub struct UpdateReport {
     pub parameter_id: Option<String>,
 }
 
-/// Checks `stored` with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
+/// Checks a calibration with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
 /// drifted by [`Ageing`] since it was made.
 ///
 /// # Errors
-/// `usage` when gravity is out of bounds; `data_refused` when `stored` has no quality information.
+/// `usage` when gravity is out of bounds; `data_refused` when the calibration has no quality information; those of
+/// [`SensorCalibration::compile`](super::SensorCalibration::compile).
 pub fn update(
     data: &Samples<'_>,
-    stored: &ParameterSet,
+    calibration: &Calibration,
     gravity_mps2: Option<f64>,
     utc_s: Option<u64>,
 ) -> Result<UpdateReport> {
@@ -74,6 +77,7 @@ pub fn update(
             .map_err(|error| Code::Usage.error(error.to_string(), "check --gravity"))?,
         None => Gravity::UNKNOWN_PLACE,
     };
+    let stored = &calibration.parameters()?;
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
         return Err(Code::DataRefused.error(
@@ -81,11 +85,9 @@ pub fn update(
             "give one that was written by `wimu calibrate … -o CAL.json`, with --with CAL.json",
         ));
     };
-    let scale = match data.unit {
-        OutputUnit::Mps2 => 1.0,
-        OutputUnit::Counts { .. } => stored.sensitivity.mps2_per_lsb(),
-    };
-    let found = poses(data, scale, gravity.mps2()).poses;
+    let correction = calibration.sensor().compile(data.info());
+    let scale = correction.map_err(|error| error.at(data.name))?.mps2_per_unit();
+    let found = Poses::find(data, scale, gravity.mps2()).poses;
     let rest = |pose: &Pose| {
         let check = check.push(pose)?;
         Some(RestReport {
@@ -210,5 +212,32 @@ impl fmt::Display for UpdateReport {
             axis(2),
             if significant { "; it is significant (2 σ): use the updated file (-o)" } else { "" }
         )
+    }
+}
+
+impl UpdateReport {
+    /// A page: |f| − g of each rest beside what the stored calibration explains.
+    pub fn page(&self) -> Report {
+        let title = format!("Calibration {} against {}", self.stored_id, self.source);
+        let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
+        if self.rests.is_empty() {
+            return page;
+        }
+        let numbered = (0_u32..).map(f64::from).zip(&self.rests);
+        let residuals = numbered.clone().map(|(k, rest)| (k, rest.residual_mm_s2)).collect();
+        let expected = numbered.map(|(k, rest)| (k, rest.expected_sd_mm_s2));
+        let points: Vec<_> = expected.map(|(k, sd)| (k, -sd, sd)).collect();
+        // Symmetric, and wide enough for all.
+        let sizes = (self.rests.iter()).flat_map(|r| [r.residual_mm_s2.abs(), r.expected_sd_mm_s2]);
+        let half = 1.1 * sizes.fold(0.0, f64::max);
+        let zero = points.iter().map(|(k, ..)| (*k, 0.0)).collect();
+        let series = vec![Series::line("expected, ± 1 σ", zero), Series::dots("rest", residuals)];
+        let title = "|f| − g of each rest under the stored calibration";
+        page.chart(&Chart {
+            y_range: Some((-half, half)),
+            bands: vec![Band { series: 0, points }],
+            ..Chart::new(title, "rest", "mm/s²", series)
+        });
+        page
     }
 }

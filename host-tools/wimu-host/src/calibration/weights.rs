@@ -1,12 +1,14 @@
 //! Estimation of the noise per sample from pose means of different numbers of samples.
 
 use nalgebra::{DMatrix, DVector};
-use wimu_calib::{Estimate, Parameter, Pose};
+use wimu_calib::{Estimate, POSE_SCATTER_MPS2, Parameter, Pose};
 
 use crate::stats::norm;
 
 /// Smallest ratio of the largest to the smallest number of samples: below it the noise is not observable.
 const MIN_RATIO: u32 = 4;
+/// Fewest means of so few samples: one or two may be disturbed otherwise.
+const MIN_FEW: usize = 3;
 /// Fewest degrees of freedom.
 const MIN_DOF: usize = 4;
 /// Gain in log-likelihood that is exceeded by chance once in twenty times: half the 95 % quantile of χ²₁.
@@ -16,7 +18,8 @@ const MIN_GAIN: f64 = 1.92;
 /// samples are noisier; `None` where they do not, or where it is known.
 pub fn with_noise(estimate: &Estimate, poses: &[Pose]) -> Option<Vec<Pose>> {
     let counts = || poses.iter().map(|pose| pose.samples.max(1));
-    let differ = counts().max()? / counts().min()? >= MIN_RATIO;
+    let most = counts().max()?;
+    let differ = counts().filter(|count| most / count >= MIN_RATIO).count() >= MIN_FEW;
     if !differ || estimate.dof < MIN_DOF || poses.iter().any(|pose| pose.sd_mps2 != [0.0; 3]) {
         return None;
     }
@@ -53,9 +56,9 @@ fn by_parameter(estimate: &Estimate, pose: &Pose) -> Vec<f64> {
     Parameter::ALL.into_iter().filter(fitted).map(derivative).collect()
 }
 
-/// The likeliest variance of a sample, for residuals of variance `common + variance / samples`;
-/// `None` where a common variance alone is as likely. Restricted maximum likelihood: it does not depend on the
-/// weights of the fit.
+/// The likeliest variance of a sample, for residuals of variance `common + variance / samples`, of which the common one is at
+/// least that of the usual scatter of poses; `None` where a common variance alone is as likely. Restricted maximum
+/// likelihood: it does not depend on the weights of the fit.
 fn noise(rows: &[Row]) -> Option<f64> {
     // Both variances by `share`, the fraction of the noise per sample in a mean of one sample.
     let likelihood = |share: f64| {
@@ -78,13 +81,14 @@ fn noise(rows: &[Row]) -> Option<f64> {
         let free = rows.len().checked_sub(parameters).filter(|free| *free > 0)? as f64;
         let variance = (squares - explained).max(0.0) / free;
         let log = free * variance.max(f64::MIN_POSITIVE).ln() + logs + log_determinant;
-        Some((-0.5 * log, share * variance))
+        Some((-0.5 * log, share * variance, (1.0 - share) * variance))
     };
-    let (equal, _) = likelihood(0.0)?;
-    // From 10⁻³ to 10⁶ of the common variance, and the noise alone.
+    let (equal, ..) = likelihood(0.0)?;
+    // From 10⁻³ to 10⁶ of the common variance.
     let shares = (-12..=24).map(|k| 10_f64.powf(0.25 * f64::from(k)));
-    let shares = shares.map(|ratio| ratio / (1.0 + ratio)).chain([1.0]);
-    let (best, variance) = shares.filter_map(likelihood).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let found = shares.filter_map(|ratio| likelihood(ratio / (1.0 + ratio)));
+    let found = found.filter(|(.., common)| *common >= POSE_SCATTER_MPS2 * POSE_SCATTER_MPS2);
+    let (best, variance, _) = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
     (best - equal > MIN_GAIN && variance > 0.0).then_some(variance)
 }
 

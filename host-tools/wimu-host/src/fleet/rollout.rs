@@ -9,7 +9,7 @@ use wimu_model::ParameterSet;
 
 use super::status::FleetStatus;
 use super::topics::{Fleet, Name};
-use crate::calibration::{check_device, read_parameters};
+use crate::calibration::{Calibration, read_parameters};
 use crate::client;
 use crate::{Code, LinkUrl, Problem, Result};
 
@@ -128,7 +128,7 @@ pub fn push(fleet: &Fleet, target: &Target, force: bool) -> Result<bool> {
             .at(&name));
     }
     if !force {
-        check_device(&target.file, device_id)?;
+        Calibration::read(&target.file)?.check_device(device_id)?;
     }
     // With a key only signed answers count.
     let id = parameter_id(&target.set);

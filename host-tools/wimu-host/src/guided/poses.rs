@@ -3,17 +3,14 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_calib::{
-    Face, Gravity, Model, MultiPosition, Orientation, Parameter, Phase, Placement, Pose, Session,
-    multi_position_with, six_position,
-};
+use wimu_calib::{Face, Orientation, Parameter, Phase, Pose, Session};
 use wimu_link::Hello;
 use wimu_link::batch::Stream;
-use wimu_link::hello::board;
+use wimu_link::hello::{Capabilities, board};
 use wimu_link::message::Event as Happened;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use crate::calibration::{CalibrateOptions, MethodChoice, ModelChoice, local_gravity};
+use crate::calibration::{CalibrateOptions, Fitting, MethodChoice, ModelChoice};
 use crate::capture::Link;
 use crate::decode::{Arrival, Event};
 use crate::formats;
@@ -24,55 +21,137 @@ use crate::{Code, Result};
 pub const CAPACITY: usize = 64;
 /// Default number of poses of a live calibration.
 const POSES: usize = 12;
+/// Default number of rotations: about two axes, so that the bias of each is observed.
+const ROTATIONS: usize = 2;
 /// Typical residual of a pose, m/s²: the prior of [`wimu_calib::Guide`] is relative to it.
 const POSE_SD_MPS2: f64 = 0.003;
 
+/// Which orientations a person is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Guidance {
+    /// Any, the most useful one next.
+    Orientations,
+    /// Each of the six sides up.
+    Sides,
+    /// So many steps of rotations about level axes.
+    Rotation(usize),
+    /// Any, each with another side to the north: for a magnetometer.
+    Field,
+}
+
 /// What a live calibration captures.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Plan {
-    /// Whether it is each of six sides, of which the orientations are known.
-    pub six: bool,
+    /// Which orientations.
+    pub guidance: Guidance,
     /// Number of poses.
     pub count: usize,
-    model: Model,
-    gravity: Gravity,
+    options: CalibrateOptions,
     /// Names of the sides that are up, in the order of [`Face::ALL`].
     pub names: &'static [&'static str; 6],
 }
 
 impl Plan {
-    /// Of `count` poses (12 if `None`) of a board that identified itself so.
+    /// Of `count` poses of a board that identified itself so: by default 12, the six sides, or two rotations.
     ///
     /// # Errors
-    /// `usage` for fewer poses than the model needs; those of [`local_gravity`].
+    /// `usage` for a number of poses that does not suit the method; those of [`CalibrateOptions::gravity`].
     pub fn new(options: &CalibrateOptions, count: Option<usize>, hello: &Hello) -> Result<Self> {
-        let six = options.method == MethodChoice::SixPosition;
-        let count = count.unwrap_or(POSES);
+        options.gravity()?;
+        let guidance = match options.method {
+            MethodChoice::MultiPosition => Guidance::Orientations,
+            MethodChoice::SixPosition => Guidance::Sides,
+            MethodChoice::FourAngle => Guidance::Rotation(4),
+            MethodChoice::ThreeAngle => Guidance::Rotation(3),
+        };
         let fewest = match options.model {
             ModelChoice::Fixed(model) => model.parameters() + 1,
-            ModelChoice::Auto => Model::Bias3.parameters() + 1,
+            ModelChoice::Auto => wimu_calib::Model::Bias3.parameters() + 1,
         };
-        if !six && count < fewest {
-            return Err(Code::Usage.error(
-                format!("--count {count} is too small for this model"),
-                format!("give {fewest} or more, or a smaller --model"),
+        let count = match (guidance, count) {
+            (Guidance::Sides, _) => Face::ALL.len(),
+            (Guidance::Rotation(steps), None) => ROTATIONS * steps,
+            (Guidance::Rotation(steps), Some(count))
+                if !count.is_multiple_of(steps) || count == 0 =>
+            {
+                let text =
+                    format!("--count {count} is not a number of whole rotations of {steps} steps");
+                return Err(Code::Usage.error(text, format!("give a multiple of {steps}")));
+            }
+            (Guidance::Orientations, Some(count)) if count < fewest => {
+                let text = format!("--count {count} is too small for this model");
+                let remedy = format!("give {fewest} or more, or a smaller --model");
+                return Err(Code::Usage.error(text, remedy));
+            }
+            (_, count) => count.unwrap_or(POSES),
+        };
+        let names = side_names(hello.board.number);
+        Ok(Self { guidance, count, options: options.clone(), names })
+    }
+
+    /// The same for the magnetometer of a board.
+    ///
+    /// # Errors
+    /// `data_refused` for a board without one; those of [`new`](Self::new).
+    pub fn of_field(count: Option<usize>, hello: &Hello) -> Result<Self> {
+        if !hello.capabilities.offers(Capabilities::MAGNETOMETER) {
+            return Err(Code::DataRefused.error(
+                "the board has no magnetometer",
+                "use a board that has one, or calibrate a recording with columns of a magnetometer",
             ));
         }
-        Ok(Self {
-            six,
-            count: if six { Face::ALL.len() } else { count },
-            model: match options.model {
-                ModelChoice::Fixed(model) => model,
-                ModelChoice::Auto => Model::Full9,
-            },
-            gravity: local_gravity(options)?,
-            names: side_names(hello.board.number),
-        })
+        let plan = Self::new(&CalibrateOptions::default(), count, hello)?;
+        Ok(Self { guidance: Guidance::Field, ..plan })
+    }
+
+    /// How the poses are calibrated.
+    pub fn options(&self) -> &CalibrateOptions {
+        &self.options
+    }
+
+    /// What a person is asked for at the start.
+    pub fn instruction(&self) -> String {
+        let count = self.count;
+        match self.guidance {
+            Guidance::Orientations => {
+                format!("hold the board still in {count} different orientations")
+            }
+            Guidance::Sides => {
+                "hold the board still with each of its six sides up, in any order".to_owned()
+            }
+            Guidance::Rotation(steps) => format!(
+                "rotate the board about one of its axes, which lies level, always in one direction: hold it still at each of \
+                 {steps} steps of {}°, then do the same about another axis, {count} steps in all",
+                360 / steps.max(1)
+            ),
+            Guidance::Field => format!(
+                "hold the board still in {count} different orientations, each with another side to the north, away from iron"
+            ),
+        }
+    }
+
+    /// What comes after this many poses.
+    pub fn next_instruction(&self, poses: usize, next: Option<Orientation>) -> String {
+        match (self.guidance, next) {
+            (Guidance::Rotation(steps), _) if poses < self.count => {
+                let (rotation, step) = (poses / steps + 1, poses % steps + 1);
+                match step {
+                    1 => format!(
+                        "rotation {rotation}: step 1 of {steps}, the axis of rotation level"
+                    ),
+                    _ => {
+                        format!("rotation {rotation}: step {step} of {steps}, {}° on", 360 / steps)
+                    }
+                }
+            }
+            (_, Some(next)) => next.instruction_with(self.names).to_string(),
+            _ => String::new(),
+        }
     }
 
     /// Maximum number of poses of a session: each of six sides can be captured repeatedly.
     fn wanted(&self) -> usize {
-        if self.six { CAPACITY } else { self.count }
+        if self.guidance == Guidance::Sides { CAPACITY } else { self.count }
     }
 
     /// Name of a side.
@@ -84,16 +163,9 @@ impl Plan {
 
     /// Standard deviations after these poses: of the fit, or expected where they do not support one.
     pub fn uncertainty(&self, session: &Session<CAPACITY>) -> Uncertainty {
-        let poses = session.poses();
-        let estimate = match self.six {
-            true => six_position(poses, self.gravity, Placement::BY_HAND),
-            false => {
-                let what = MultiPosition { model: self.model, ..MultiPosition::default() };
-                multi_position_with(poses, self.gravity, what)
-            }
-        };
+        let estimate = Fitting::new(&self.options).map(|fitting| fitting.of(session.poses()));
         let refusal = match estimate {
-            Ok(estimate) => {
+            Ok(Ok(estimate)) => {
                 let sd = estimate.sd();
                 return Uncertainty {
                     bias_mps2: sd.bias_mps2,
@@ -101,7 +173,8 @@ impl Plan {
                     no_fit: None,
                 };
             }
-            Err(refusal) => refusal.to_string(),
+            Ok(Err(refusal)) => refusal.to_string(),
+            Err(problem) => problem.text,
         };
         let expected = |parameter| session.guide().sd(parameter) * POSE_SD_MPS2;
         use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
@@ -227,7 +300,7 @@ impl LivePoses {
     /// Begins a session with the samples of the interrupted one.
     fn begin(&mut self) {
         let wanted = self.plan.wanted();
-        self.session = Some(Session::new(self.rate_hz, self.plan.model, wanted));
+        self.session = Some(Session::new(self.rate_hz, self.plan.options.wanted(), wanted));
         (self.pushed, self.kept) = (0, 0);
         self.starts.clear();
         let earlier = self.earlier.take();
@@ -244,9 +317,12 @@ impl LivePoses {
 
     /// Plans the next orientation, after a change of the poses: it takes milliseconds.
     fn suggest(&mut self) {
-        self.next = match self.plan.six {
-            true => self.sides_left().first().map(|side| Orientation::from(*side)),
-            false => self.session.as_ref().and_then(Session::next),
+        self.next = match self.plan.guidance {
+            Guidance::Sides => self.sides_left().first().map(|side| Orientation::from(*side)),
+            Guidance::Rotation(_) => None,
+            Guidance::Orientations | Guidance::Field => {
+                self.session.as_ref().and_then(Session::next)
+            }
         };
     }
 
@@ -374,7 +450,7 @@ impl LivePoses {
 
     /// Whether all poses were captured.
     pub fn is_complete(&self) -> bool {
-        let has_sides = !self.plan.six || self.sides_left().is_empty();
+        let has_sides = self.plan.guidance != Guidance::Sides || self.sides_left().is_empty();
         let count = self.poses().len();
         (has_sides && count >= self.plan.count) || count == CAPACITY
     }

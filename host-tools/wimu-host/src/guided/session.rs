@@ -7,7 +7,7 @@ use wimu_calib::{Face, Orientation, Phase};
 use wimu_link::Hello;
 use wimu_model::{ParameterId, ParameterSet};
 
-use super::poses::{LivePoses, News, Plan, Uncertainty};
+use super::poses::{Guidance, LivePoses, News, Plan, Uncertainty};
 use crate::Result;
 use crate::calibration::{self, CalibrateOptions, CalibrationReport};
 use crate::client::Client;
@@ -111,18 +111,8 @@ pub struct Guided {
 }
 
 impl Guided {
-    /// A session of `count` poses (12 if `None`) of the board `hello` at the link `name`, whose calibration goes to `file`.
-    ///
-    /// # Errors
-    /// Those of [`Plan::new`].
-    pub fn new(
-        options: CalibrateOptions,
-        count: Option<usize>,
-        hello: &Hello,
-        name: &str,
-        file: &Path,
-    ) -> Result<Self> {
-        let plan = Plan::new(&options, count, hello)?;
+    /// A session of the board `hello` at the link `name`, whose calibration goes to `file`.
+    pub fn new(plan: Plan, hello: &Hello, name: &str, file: &Path) -> Self {
         let poses_file = poses_file(file);
         let mut view = GuidedView {
             device: format!("{} with {}, {} link", hello.board.name, hello.sensor.name, hello.role),
@@ -131,12 +121,17 @@ impl Guided {
             ..GuidedView::default()
         };
         view.resumable = poses_file.exists();
-        view.message = match view.resumable {
-            true => format!("{} has poses of an earlier session", poses_file.display()),
-            false => "hold the board as suggested, or in any other orientation".to_owned(),
+        view.message = match plan.guidance {
+            _ if view.resumable => {
+                format!("{} has poses of an earlier session", poses_file.display())
+            }
+            Guidance::Orientations => {
+                "hold the board as suggested, or in any other orientation".to_owned()
+            }
+            _ => plan.instruction(),
         };
-        Ok(Self {
-            options,
+        Self {
+            options: plan.options().clone(),
             name: name.to_owned(),
             poses_file,
             file: file.to_owned(),
@@ -148,7 +143,7 @@ impl Guided {
             report: None,
             tried: None,
             view,
-        })
+        }
     }
 
     /// Continues the interrupted session.
@@ -352,8 +347,7 @@ impl Guided {
             _ => Hold::Captured,
         };
         let next = live.next();
-        self.view.instruction =
-            next.map_or(String::new(), |next| next.instruction_with(live.plan.names).to_string());
+        self.view.instruction = live.plan.next_instruction(live.poses().len(), next);
         self.view.next = next.map(Orientation::up);
     }
 

@@ -2,21 +2,37 @@
 
 use std::path::Path;
 
+use wimu_model::STANDARD_GRAVITY_MPS2;
+
 use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample, in_body_axes};
-use crate::apply::Corrector;
-use crate::calibration::StoredModel;
+use crate::calibration::{Correction, SensorCalibration};
 use crate::formats::{self, ReadOptions};
 use crate::multi_range::{FullScales, Merge};
-use crate::recording::{Origin, Quantity, Recording, Track, Unit};
+use crate::recording::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
 use crate::{Code, Problem, Result};
 
 /// What a file does not say itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct TableOptions {
     /// What corrects its samples; without it, they are corrected.
-    pub calibration: Option<StoredModel>,
+    pub calibration: Option<SensorCalibration>,
     /// Sensitivity of counts, where neither the calibration nor the file gives it, LSB/g.
     pub sensitivity_lsb_per_g: Option<f64>,
+}
+
+impl TableOptions {
+    /// What corrects the output of an accelerometer. Its full scale does not count: merged accelerometers have that of the
+    /// widest, and the calibration is that of the finest.
+    fn correction(&self, force: &TrackInfo) -> Result<Correction> {
+        let mut info = TrackInfo { full_scale: None, ..force.clone() };
+        if let (Unit::Counts { .. }, Some(lsb_per_g)) = (info.unit, self.sensitivity_lsb_per_g) {
+            info.unit = Unit::Counts { si_per_lsb: Some(STANDARD_GRAVITY_MPS2 / lsb_per_g) };
+        }
+        match &self.calibration {
+            Some(calibration) => calibration.compile(&info),
+            None => Correction::ideal(&info),
+        }
+    }
 }
 
 impl MotionRecording {
@@ -60,13 +76,11 @@ impl MotionRecording {
             return Err(without_unit(recording));
         }
         let stored = options.calibration.as_ref();
-        let correction = Corrector::new(stored, force, Some(options.sensitivity_lsb_per_g));
-        let mut correction = correction.map_err(|error| error.at(name))?;
+        let correction = options.correction(&force.info).map_err(|error| error.at(name))?;
         let beside = |quantity| recording.of(quantity).find(sensor);
-        let own_rate = options.calibration.and_then(|stored| stored.gyroscope);
-        let unscaled = |track: &&Track| track.info.unit == Unit::Counts { si_per_lsb: None };
         let mut rates = recording.of(Quantity::AngularRate);
-        if let Some(track) = rates.find(|track| unscaled(track) && own_rate.is_none()) {
+        let is_unknown = |track: &&Track| correction.rad_s_per_unit(&track.info).is_none();
+        if let Some(track) = rates.find(is_unknown) {
             return Err(Code::UnknownFormat
                 .error(
                     format!("the unit of `{}` is not known: counts", track.info.name),
@@ -87,10 +101,10 @@ impl MotionRecording {
             name: name.to_owned(),
             findings: recording.relevant(&[Code::RowsMasked, Code::Frozen]),
             covariance: stored.and_then(|stored| {
-                let known = stored.covariance?;
+                let known = stored.accelerometer.covariance()?;
                 Some(in_body_axes(&known, &stored.alignment))
             }),
-            of_sessions: stored.is_some_and(|stored| stored.of_sessions),
+            of_sessions: stored.is_some_and(|stored| stored.accelerometer.of_sessions()),
             full_scale_mps2: force.info.full_scale,
             other: scalars.iter().map(|track| (track.info.name.clone(), Vec::new())).collect(),
             ..Self::default()
@@ -103,7 +117,9 @@ impl MotionRecording {
         let mut positions = position.map(|track| track.beside(force));
         let mut attitudes = attitude.map(|track| track.beside(force));
         let mut others: Vec<_> = scalars.iter().map(|track| track.beside(force)).collect();
-        let mut last_s = None;
+        let (mut last_s, mut temperature_c) = (None, None);
+        let rad_s = rate.and_then(|track| correction.rad_s_per_unit(&track.info)).unwrap_or(1.0);
+        let [_, has_magnetometer] = correction.has();
         for (row, time_ns) in force.times_ns().iter().copied().enumerate() {
             let time_s = time_ns as f64 * 1e-9;
             // A masked row of numbers is out of order, and has no place in the sequence.
@@ -113,25 +129,28 @@ impl MotionRecording {
             }
             let output = vector(force.row(row)).unwrap_or([f64::NAN; 3]);
             let celsius = temperatures.as_mut().and_then(|t| t.latest(row, time_ns));
-            let f = correction.force(output, celsius.map(|row| row[0]));
+            temperature_c = celsius.map(|row| row[0]).or(temperature_c);
             let rate_rad_s = rates.as_mut().and_then(|t| t.at(row, time_ns));
-            let rate_rad_s = rate_rad_s.zip(rate).map(|(value, track)| match track.info.unit {
-                Unit::Counts { si_per_lsb } => {
-                    let scale = own_rate.map(|gyroscope| gyroscope.rad_s_per_lsb);
-                    correction.rate(value, scale.or(si_per_lsb).unwrap_or(f64::NAN), f)
+            let rate_rad_s = rate_rad_s.zip(rate).map(|(value, track): ([f64; 3], _)| {
+                if track.info.corrected {
+                    return value;
                 }
-                _ if track.info.corrected => value,
-                _ => correction.rate(value, 1.0, f),
+                correction.rate(value.map(|axis| axis * rad_s), output, temperature_c)
             });
             let tesla = vector(fields.as_mut().and_then(|t| t.latest(row, time_ns)));
             let flag = flags.as_mut().and_then(|t| t.latest(row, time_ns)).map(|row| row[0] != 0.0);
-            let field_ut = tesla.and_then(|tesla| correction.field(tesla, flag));
+            // As a magnetometer put it out that is not calibrated, it says nothing of directions.
+            let field_ut = tesla.and_then(|tesla| match flag {
+                None | Some(false) if has_magnetometer => correction.field_ut(tesla),
+                Some(false) => None,
+                _ => Some(correction.to_body(tesla.map(|axis| axis * 1e6))),
+            });
             motion.field_uncalibrated |= tesla.is_some() && field_ut.is_none();
             motion.samples.push(UnitSample {
                 step_s: time_s - last_s.unwrap_or(time_s),
-                force_mps2: correction.to_body(f),
+                force_mps2: correction.sample(output, temperature_c),
                 field_ut,
-                rate_rad_s: rate_rad_s.map(|rate| correction.to_body(rate)),
+                rate_rad_s,
             });
             motion.times_s.push(time_s);
             let quaternion = attitudes.as_mut().and_then(|t| t.at(row, time_ns));
@@ -180,9 +199,9 @@ fn vector(row: Option<&[f64]>) -> Option<[f64; 3]> {
 }
 
 /// The finding on a calibration that is applied.
-fn finding(stored: &StoredModel) -> Problem {
-    let [x, y, z] = stored.model.terms().bias_mps2;
-    let sd_mps2 = stored.bias_sd_mps2();
+fn finding(stored: &SensorCalibration) -> Problem {
+    let [x, y, z] = stored.accelerometer.model.terms().bias_mps2;
+    let sd_mps2 = stored.accelerometer.bias_sd_mps2();
     let known = if sd_mps2 > 0.0 {
         format!(", which with scale and axes it knows to ± {:.4} m/s²", sd_mps2)
     } else {

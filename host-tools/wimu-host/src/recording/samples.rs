@@ -5,13 +5,13 @@ use std::iter;
 use wimu_calib::{Datasheet, Pose, SixAxisSample, find_poses};
 use wimu_link::hello::sensor;
 use wimu_model::{
-    CentiCelsius, Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId,
-    SpecificForceMps2, TemperatureTerms,
+    Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TemperatureTerms,
 };
 
 use super::beside::Beside;
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
+use crate::calibration::SensorCalibration;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
@@ -416,18 +416,15 @@ impl<'a> Samples<'a> {
         findings
     }
 
-    /// The outputs corrected by `set`, each at its temperature, m/s², sensor axes.
-    pub(crate) fn corrected(&self, set: &ParameterSet) -> Vec<[f64; 3]> {
-        let scale = match self.unit {
-            OutputUnit::Counts { .. } => set.sensitivity.mps2_per_lsb(),
-            OutputUnit::Mps2 => 1.0,
-        };
-        let correct = |output: Output| {
-            let sensed = SpecificForceMps2(output.value.map(|axis| axis * scale));
-            let at = output.temperature_c.map(CentiCelsius::from_celsius);
-            set.model.correct(sensed, at).0
-        };
-        self.iter().map(correct).collect()
+    /// The outputs corrected by `calibration`, each at its temperature, m/s², sensor axes.
+    ///
+    /// # Errors
+    /// Those of [`SensorCalibration::compile`].
+    pub(crate) fn corrected(&self, calibration: &SensorCalibration) -> Result<Vec<[f64; 3]>> {
+        let correction = calibration.compile(self.info()).map_err(|error| error.at(self.name))?;
+        let correction = correction.in_sensor_axes();
+        let correct = |output: Output| correction.sample(output.value, output.temperature_c);
+        Ok(self.iter().map(correct).collect())
     }
 
     /// Temperatures that are missing or outside the range of the calibration `set`.

@@ -8,7 +8,7 @@ use wimu_calib::Face;
 use wimu_model::Sensitivity;
 
 use super::reading::Reading;
-use super::values::{Place, from_to, place, positive, seconds, sensitivity, side};
+use super::values::{Place, acceleration, from_to, place, positive, seconds, sensitivity, side};
 
 #[derive(Args)]
 #[command(
@@ -90,6 +90,10 @@ pub struct Calibrate {
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
     #[arg(hide_short_help = true, long, value_name = "NAME", help_heading = "Model")]
     pub chip: Option<String>,
+    /// Largest error in the worst orientation that the calibration is to have, such as 10mg: a warning if it is missed
+    /// [default: compare with the noise of a sample]
+    #[arg(long, value_name = "ERROR", value_parser = acceleration, help_heading = "Model")]
+    pub target: Option<f64>,
     /// For method magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
     /// mirrored axis [default: the field points down]
     #[arg(hide_short_help = true, long, value_name = "DEG", allow_negative_numbers = true, value_parser = from_to(-90.0, 90.0), help_heading = "Model")]

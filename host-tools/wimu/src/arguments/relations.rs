@@ -31,6 +31,7 @@ const TABLES: [Table; 2] = [
             ("latitude",              "× × × × · · ·"),
             ("sensitivity",           "× × × × × · ·"),
             ("range",                 "× × × × × · ·"),
+            ("target",                "× × × × · · ·"),
             ("placement-sd",          "· × × × · · ·"),
             ("sides",                 "· × · · · · ·"),
             ("reference",             "· · · · × · ·"),

@@ -25,8 +25,8 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 #lever_arm_m = [0.0, 0.0, 0.0]
 
 # An array of accelerometers: positions.csv (header `X (m),Y (m),Z (m)` or mm, one row per triad of axes), ARRAY.json as
-# `wimu calibrate --setup geometry=… -o` wrote it, a JSON file of single `axes`, or a preset: cube:100mm (six single axes),
-# four:30mm, octahedron:30mm (triads at this distance from the centre), board:9.5mm,2mm (half side and half thickness).
+# `wimu calibrate --setup geometry=… -o` wrote it, or a preset: four:30mm, octahedron:30mm (triads at this distance
+# from the centre), board:9.5mm,2mm (half side and half thickness).
 #geometry = "positions.csv"
 # σ of its positions, mm, and of the sensors' delays, µs:
 #place_sd_mm = 0.5

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use wimu_calib::Face;
 use wimu_host::inertial::StartPose;
-use wimu_model::Sensitivity;
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
 /// A parser of numbers from `least` to `most`.
 pub fn from_to(
@@ -23,6 +23,17 @@ pub fn positive(text: &str) -> Result<f64, String> {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
         _ => Err("give a number above 0".to_owned()),
     }
+}
+
+/// An acceleration with its unit, in m/s².
+pub fn acceleration(text: &str) -> Result<f64, String> {
+    let units = [("mg", 1e-3 * STANDARD_GRAVITY_MPS2), ("mm/s2", 1e-3), ("m/s2", 1.0)];
+    let text = text.replace('²', "2");
+    let known = units.into_iter().find_map(|(unit, mps2)| {
+        let value: f64 = text.strip_suffix(unit)?.trim().parse().ok()?;
+        Some(value * mps2).filter(|value| *value > 0.0 && value.is_finite())
+    });
+    known.ok_or_else(|| "give a number above 0 with its unit, such as 10mg or 50mm/s2".to_owned())
 }
 
 /// A duration in seconds.

@@ -6,11 +6,10 @@ use std::path::Path;
 
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
-use wimu_host::calibration::CalibrationFile;
+use wimu_host::calibration::Calibration;
 use wimu_host::capture::Link;
 use wimu_host::decode::Event;
 use wimu_host::recording::{Recording, Selection};
-use wimu_model::ParameterSet;
 
 use crate::arguments::Align;
 use crate::command::calibrate::{finish, read_calibrated};
@@ -43,29 +42,25 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
         ));
     }
     not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    let (data, set, mut client) = read_calibrated(
+    let (data, calibration, mut client) = read_calibrated(
         &arguments.input,
         &arguments.reading.options(false),
         arguments.with.as_deref(),
         arguments.push,
-        |set| {
-            set.ok_or_else(|| {
+        |calibration| {
+            calibration.ok_or_else(|| {
                 usage(
                     "there is no calibration of the accelerometer",
                     "calibrate it first, and add --with CAL.json",
                 )
             })
         },
-        |client, set| listen(client, arguments, set, &options, output),
+        |client, calibration| listen(client, arguments, calibration, &options, output),
         output,
     )?;
     let samples = data.samples(Selection::default())?;
-    let report = alignment::alignment(&samples, &set, &options);
-    let given = arguments.with.as_deref();
-    let file = |after| {
-        let file = CalibrationFile::after(given, &set, after, &report.source);
-        file.of_device(samples.info().device_id)
-    };
+    let report = alignment::alignment(&samples, &calibration, &options)?;
+    let file = |after| calibration.after(after, &report.source).of_device(samples.info().device_id);
     finish(
         &report,
         &report.outcome,
@@ -83,7 +78,7 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
 fn listen(
     client: &mut Connection,
     arguments: &Align,
-    set: &ParameterSet,
+    calibration: &Calibration,
     options: &AlignOptions,
     output: &Output,
 ) -> Result<Recording> {
@@ -112,7 +107,8 @@ fn listen(
         }
         looked = samples;
         let data = Recording::of_link(&record, &name)?;
-        let report = alignment::alignment(&data.samples(Selection::default())?, set, options);
+        let samples = data.samples(Selection::default())?;
+        let report = alignment::alignment(&samples, calibration, options)?;
         if report.rests > asked {
             asked = report.rests;
             ask(asked);

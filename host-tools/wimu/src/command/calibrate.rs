@@ -9,14 +9,14 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use wimu_host::calibration::{self, CalibrateOptions, CalibrationFile, MethodChoice, Paired};
+use wimu_host::calibration::{self, CalibrateOptions, Calibration, MethodChoice, Paired};
 use wimu_host::capture;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::html::Report;
 use wimu_host::problem::Outcome;
 use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Code, Input, Problem, Result};
-use wimu_model::{ParameterSet, Sensitivity};
+use wimu_model::Sensitivity;
 
 use crate::arguments::{Calibrate, Method, Setup};
 use crate::command::{Connection, connect_for, not_over_input};
@@ -49,7 +49,7 @@ pub fn finish<R: Display + Serialize>(
     report: &R,
     outcome: &Outcome,
     path: Option<&Path>,
-    file: Option<CalibrationFile>,
+    file: Option<Calibration>,
     output: &Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
@@ -79,46 +79,46 @@ pub fn read_calibrated(
     load: &ReadOptions,
     given: Option<&Path>,
     push: bool,
-    checked: impl Fn(Option<ParameterSet>) -> Result<ParameterSet>,
-    listen: impl FnOnce(&mut Connection, &ParameterSet) -> Result<Recording>,
+    checked: impl Fn(Option<Calibration>) -> Result<Calibration>,
+    listen: impl FnOnce(&mut Connection, &Calibration) -> Result<Recording>,
     output: &Output,
-) -> Result<(Recording, ParameterSet, Option<Connection>)> {
+) -> Result<(Recording, Calibration, Option<Connection>)> {
     let mut load = load.clone();
-    load.stored_zero_count = given.and_then(calibration::zero_count);
-    let file = given;
-    let given = file.map(calibration::read_parameters).transpose()?;
+    let given = given.map(Calibration::read).transpose()?;
+    let accelerometer = given.as_ref().map(|file| &file.sensor().accelerometer);
+    load.stored_zero_count = accelerometer.and_then(|own| own.zero_count);
     match Input::parse(input)? {
         Input::File(path) => Ok((formats::load(&path, &load)?, checked(given)?, None)),
         Input::Recording(path) => {
             let recording = capture::Capture::load(&path)?;
             let link = recording.link(load.role)?;
             let data = Recording::of_link(link, &recording.name)?;
-            let set = match given {
+            let calibration = match given {
                 None => {
                     output.findings(link.unknown_source().as_slice());
-                    link.last_parameters()?
+                    link.last_parameters()?.as_ref().map(Calibration::held)
                 }
                 given => given,
             };
-            Ok((data, checked(set)?, None))
+            Ok((data, checked(calibration)?, None))
         }
         Input::Link(_) => {
             let mut client = connect_for(input, push)?;
             let device_id = client.hello().device_id;
-            file.map_or(Ok(()), |file| calibration::check_device(file, device_id))?;
-            let set = match given {
+            given.as_ref().map_or(Ok(()), |given| given.check_device(device_id))?;
+            let calibration = match given {
                 None => {
                     let reported = client.parameters()?;
                     if push && reported.lacks_gyroscope() {
                         return Err(erases_gyroscope().at(client.name()));
                     }
                     output.findings(reported.unknown_source().as_slice());
-                    client.held_parameters()?.map(|(_, set)| set)
+                    client.held_parameters()?.map(|(_, set)| Calibration::held(&set))
                 }
                 given => given,
             };
-            let set = checked(set)?;
-            Ok((listen(&mut client, &set)?, set, Some(client)))
+            let calibration = checked(calibration)?;
+            Ok((listen(&mut client, &calibration)?, calibration, Some(client)))
         }
     }
 }
@@ -208,7 +208,7 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
         set.ok_or_else(|| usage("there is no calibration to update", "add --with CAL.json"))
     };
     let (load, selection) = reading(arguments);
-    let (data, stored, _) = read_calibrated(
+    let (data, calibration, _) = read_calibrated(
         &arguments.input,
         &load,
         arguments.with.as_deref(),
@@ -218,12 +218,8 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
         output,
     )?;
     let samples = data.samples(selection)?;
-    let report = calibration::update(&samples, &stored, arguments.gravity, utc_s())?;
-    let with = arguments.with.as_deref();
-    let file = |set| {
-        let file = CalibrationFile::after(with, &stored, set, &report.source);
-        file.of_device(samples.info().device_id)
-    };
+    let report = calibration::update(&samples, &calibration, arguments.gravity, utc_s())?;
+    let file = |set| calibration.after(set, &report.source).of_device(samples.info().device_id);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
@@ -256,6 +252,7 @@ fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
         range_g: arguments.range,
         placement_sd_deg: arguments.placement_sd,
         datasheet: datasheet.map(calibration::datasheet).transpose()?,
+        target_mps2: arguments.target,
         utc_s: utc_s(),
     })
 }

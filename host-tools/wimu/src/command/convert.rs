@@ -3,10 +3,9 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::apply::Correction;
+use wimu_host::apply::CorrectedRecording;
 use wimu_host::calibration::{
-    CalibrationExport, ExportTarget, KalibrNoise, compiled_for, further_sensors, read_model,
-    read_parameters, zero_count,
+    Calibration, CalibrationExport, ExportTarget, KalibrNoise, compiled_for,
 };
 use wimu_host::compare::LinkModel;
 use wimu_host::csv::SENSITIVITY;
@@ -112,15 +111,15 @@ fn of_wimu_only(arguments: &Convert) -> Result<()> {
 /// Corrects a recording of any format.
 fn corrected(arguments: &Convert, file: &Path, to: &Path, output: &Output) -> Result<()> {
     of_wimu_only(arguments)?;
-    let calibration = read_model(file)?;
+    let calibration = Calibration::read(file)?;
     let mut options = arguments.reading.options(false);
-    options.stored_zero_count = zero_count(file);
+    options.stored_zero_count = calibration.sensor().accelerometer.zero_count;
     let recording = formats::load(&arguments.input, &options)?;
-    let correction = Correction::new(&calibration, &recording)?;
-    let rows = correction.write(to)?;
+    let corrected = CorrectedRecording::new(calibration.sensor(), &recording)?;
+    let rows = corrected.write(to)?;
     let file = to.display().to_string();
     output.print(format!("{file}: {rows} corrected samples"));
-    output.findings(&[&correction.findings[..], &recording.findings].concat());
+    output.findings(&[&corrected.findings[..], &recording.findings].concat());
     output.object(&Converted { file, format: recording.format, rows });
     Ok(())
 }
@@ -188,7 +187,8 @@ fn stream(
 
 /// Writes a calibration in integers, for any device with its sensor.
 fn compiled(arguments: &Convert, to: &Path, output: &Output) -> Result<()> {
-    let set = read_parameters(&arguments.input)?;
+    let calibration = Calibration::read(&arguments.input)?;
+    let set = calibration.parameters()?;
     let rad_s_per_lsb = set.gyroscope.map(|gyroscope| gyroscope.rad_s_per_lsb);
     let compiled = compiled_for(&set, 0, rad_s_per_lsb, true).map_err(|error| {
         let error = Code::BadCalibration.error(error.to_string(), "calibrate again");
@@ -200,7 +200,7 @@ fn compiled(arguments: &Convert, to: &Path, output: &Output) -> Result<()> {
 
     let file = to.display().to_string();
     output.print(format!("{file}: {bytes} bytes, parameters {}", compiled.source()));
-    let mut findings = Vec::from_iter(further_left_out(&arguments.input));
+    let mut findings = Vec::from_iter(further_left_out(&calibration));
     if set.magnetometer.is_some() && compiled.compass().is_none() {
         let text =
             "the magnetometer's calibration is left out: a device with a gyroscope does not use it";
@@ -213,8 +213,8 @@ fn compiled(arguments: &Convert, to: &Path, output: &Output) -> Result<()> {
 }
 
 /// The sensors of a calibration that an export leaves out.
-fn further_left_out(input: &Path) -> Option<Problem> {
-    let further = further_sensors(input);
+fn further_left_out(calibration: &Calibration) -> Option<Problem> {
+    let further = calibration.further();
     let text = format!("sensors {further:?} of the calibration are left out");
     (!further.is_empty()).then(|| Code::NotExpressible.warning(text))
 }
@@ -224,11 +224,12 @@ fn calibration(arguments: &Convert, program: ExportTarget, output: &Output) -> R
     if arguments.noise.is_some() && program != ExportTarget::Kalibr {
         return Err(usage("--noise is for --to kalibr", "leave it out"));
     }
-    let export = CalibrationExport::read(&arguments.input)?;
+    let calibration = Calibration::read(&arguments.input)?;
+    let export = CalibrationExport::new(&calibration);
     let noise = arguments.noise.as_deref();
     let text = export.text(program, noise.map(KalibrNoise::read).transpose()?);
     let mut findings = export.findings(program);
-    findings.extend(further_left_out(&arguments.input));
+    findings.extend(further_left_out(&calibration));
     let file = arguments.output.as_ref().map(|path| path.display().to_string());
     if let Some(path) = &arguments.output {
         OutputFile::write(path, &text)?;

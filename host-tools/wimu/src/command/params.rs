@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::calibration::{
-    self, CalibrationFile, Change, Difference, check_device, further_sensors, read_parameters,
-};
+use wimu_host::calibration::{self, Calibration, Change, Difference};
 use wimu_host::{Code, Result};
 use wimu_model::{ParameterId, ParameterSet};
 
@@ -36,10 +34,11 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
             show(&mut client, authenticated, file, Vec::new(), output)
         }
         Params::Push { link, calibration, dry_run, force } => {
-            let set = read_parameters(calibration)?;
+            let calibration = Calibration::read(calibration)?;
+            let set = calibration.parameters()?;
             let mut client = connect_to_write(link)?;
             if !force {
-                check_device(calibration, client.hello().device_id)?;
+                calibration.check_device(client.hello().device_id)?;
             }
             if *dry_run {
                 let before = client.held_parameters()?.map(|(_, set)| set);
@@ -48,7 +47,7 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
             } else {
                 push(&mut client, &set, output)?;
             }
-            let not_pushed = further_sensors(calibration);
+            let not_pushed = calibration.further();
             if !not_pushed.is_empty() {
                 output.print(format!(
                     "not pushed: the calibration of sensors {not_pushed:?}, because a board corrects its sensor 0 only"
@@ -101,8 +100,7 @@ fn save(path: &Path, parameters: Option<&ParameterSet>, device_id: u64) -> Resul
             "calibrate with `wimu calibrate LINK --push`",
         ));
     };
-    let file = CalibrationFile::new(set, &calibration::sessions(None, set), "");
-    file.of_device(Some(device_id)).write(path)
+    Calibration::held(set).of_device(Some(device_id)).write(path)
 }
 
 /// Prints the parameters that a device holds, and writes them to `file`.

@@ -49,6 +49,9 @@ struct Case {
     exit: u8,
     /// Codes of all warnings and errors, in any order; not compared if absent.
     problems: Option<BTreeSet<String>>,
+    /// Parts of the texts and remedies of problems, notes too.
+    #[serde(default)]
+    texts: Vec<String>,
     /// Expected values by their path in `data` (`axes.0.bias`), of streaming commands in the last object.
     #[serde(default)]
     values: BTreeMap<String, Expected>,
@@ -155,6 +158,10 @@ impl Case {
         let mut wrong = String::new();
         if ran.code != ExitCode::from(self.exit) {
             let _ = writeln!(wrong, "exit code {:?}, not {}", ran.code, self.exit);
+        }
+        let texts = serde_json::to_string(&ran.problems).unwrap_or_default();
+        for part in self.texts.iter().filter(|part| !texts.contains(*part)) {
+            let _ = writeln!(wrong, "no problem says {part:?}: {texts}");
         }
         if let Some(expected) = &self.problems {
             let codes = ran.problem_codes();

@@ -29,13 +29,13 @@ pub struct KalibrTerms {
 }
 
 impl KalibrTerms {
-    /// The noisiest of some axes with the names of N, K and the smallest deviation. For a random walk that was not observed,
-    /// the upper bound is taken, because Kalibr needs a number above 0: alone it would be σ(τ) = K √(τ/3) at the lowest σ.
-    fn of(axes: &Value, [density, walk, floor]: [&str; 3]) -> Option<Self> {
-        let axes = axes.as_array()?;
+    /// The noisiest of the axes of a sensor. For a random walk that was not observed, the upper bound is taken, because Kalibr
+    /// needs a number above 0: alone it would be σ(τ) = K √(τ/3) at the lowest σ.
+    fn of(sensor: &Value) -> Option<Self> {
+        let axes = sensor["axes"].as_array()?;
         let walk = |axis: &Value| {
-            let seen = axis[walk]["value"].as_f64();
-            let (floor, tau) = (axis[floor].as_f64()?, axis["floor_tau_s"].as_f64()?);
+            let seen = axis["bias_random_walk"]["value"].as_f64();
+            let (floor, tau) = (axis["floor"].as_f64()?, axis["floor_tau_s"].as_f64()?);
             let most = floor * (3.0 / tau).sqrt();
             Some((seen.unwrap_or(most), seen.is_some()))
         };
@@ -44,7 +44,7 @@ impl KalibrTerms {
             .filter_map(walk)
             .filter(|(walk, _)| walk.is_finite() && *walk > 0.0)
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let densities = axes.iter().filter_map(|axis| axis[density]["value"].as_f64());
+        let densities = axes.iter().filter_map(|axis| axis["random_walk"]["value"].as_f64());
         Some(Self {
             density: densities.reduce(f64::max)?,
             random_walk,
@@ -75,11 +75,7 @@ impl KalibrNoise {
             return Err(bad());
         }
         let report = &envelope["data"];
-        let keys =
-            ["velocity_random_walk_m_s_rts", "acceleration_random_walk_m_s2_rts", "floor_m_s2"];
-        let force = KalibrTerms::of(&report["axes"], keys);
-        let keys = ["angle_random_walk_rad_s_rthz", "rate_random_walk_rad_s_rts", "floor_rad_s"];
-        let sensors = [force, KalibrTerms::of(&report["gyroscope"], keys)];
+        let sensors = [&report["accelerometer"], &report["gyroscope"]].map(KalibrTerms::of);
         if sensors == [None; 2] {
             return Err(bad());
         }

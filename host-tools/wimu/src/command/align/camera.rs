@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wimu_host::calibration::{read_model, zero_count};
+use wimu_host::calibration::Calibration;
 use wimu_host::formats;
 use wimu_host::hand_eye::{HandEyeOptions, PoseStream, hand_eye};
 use wimu_host::motion::{MotionRecording, TableOptions};
@@ -39,13 +39,12 @@ pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
 fn body(arguments: &Align, file: &Path) -> Result<PoseStream> {
     match PoseStream::read(file) {
         Err(error) if error.code == Code::CsvMissingColumn || !is_text(file) => {
-            let calibration = arguments.with.as_ref();
-            let table = TableOptions {
-                calibration: calibration.map(|file| read_model(file)).transpose()?,
-                sensitivity_lsb_per_g: None,
-            };
+            let calibration = arguments.with.as_deref().map(Calibration::read).transpose()?;
+            let calibration = calibration.map(|file| file.sensor().clone());
             let mut load = arguments.reading.options(false);
-            load.stored_zero_count = calibration.and_then(|file| zero_count(file));
+            let accelerometer = calibration.as_ref().map(|sensor| &sensor.accelerometer);
+            load.stored_zero_count = accelerometer.and_then(|own| own.zero_count);
+            let table = TableOptions { calibration, sensitivity_lsb_per_g: None };
             PoseStream::of_inertial(&MotionRecording::of(&formats::load(file, &load)?, &table)?)
         }
         read => read,

@@ -8,10 +8,10 @@ use std::time::Duration;
 use wimu_host::Result;
 use wimu_host::calibration::CalibrateOptions;
 use wimu_host::digits::significant;
-use wimu_host::guided::{DEFAULT_FILE, Guided, GuidedView, Hold, Uncertainty};
+use wimu_host::guided::{DEFAULT_FILE, Guided, GuidedView, Hold, Plan, Uncertainty};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use crate::arguments::Calibrate;
+use crate::arguments::{Calibrate, Method};
 use crate::command::{Connection, connect_for, interrupted, params};
 use crate::output::Output;
 use crate::text_view::{TextView, typed};
@@ -78,8 +78,13 @@ pub fn begin(
     options: &CalibrateOptions,
 ) -> Result<Guided> {
     let file = arguments.output.as_deref().unwrap_or(Path::new(DEFAULT_FILE));
-    let count = arguments.count.map(usize::from);
-    let mut guided = Guided::new(options.clone(), count, client.hello(), client.name(), file)?;
+    let (count, hello) = (arguments.count.map(usize::from), client.hello());
+    let plan = match arguments.method {
+        Method::Magnetometer => Plan::of_field(count, hello),
+        _ => Plan::new(options, count, hello),
+    };
+    let plan = plan.map_err(|error| error.at(client.name()))?;
+    let mut guided = Guided::new(plan, hello, client.name(), file);
     guided.saves = arguments.output.is_some() || arguments.resume;
     if arguments.resume {
         guided.resume()?;

@@ -1,8 +1,8 @@
 //! `wimu calibrate --method magnetometer`.
 
-use wimu_host::calibration::{CalibrateOptions, CalibrationFile, calibrate_magnetometer};
+use wimu_host::calibration::{CalibrateOptions, Calibration, calibrate_magnetometer};
 use wimu_host::{Code, Result};
-use wimu_model::ParameterSet;
+use wimu_model::ErrorModel;
 
 use super::guide::{begin, collect};
 use super::{finish, read_calibrated, reading, write_page};
@@ -14,7 +14,7 @@ use crate::text_view::typed;
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let (load, selection) = reading(arguments);
-    let (data, set, mut client) = read_calibrated(
+    let (data, calibration, mut client) = read_calibrated(
         &arguments.input,
         &load,
         arguments.with.as_deref(),
@@ -28,12 +28,8 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
         output,
     )?;
     let data = data.samples(selection)?;
-    let report = calibrate_magnetometer(&data, &set, arguments.dip.map(f64::to_radians))?;
-    let with = arguments.with.as_deref();
-    let file = |after| {
-        let file = CalibrationFile::after(with, &set, after, &report.source);
-        file.of_device(data.info().device_id)
-    };
+    let report = calibrate_magnetometer(&data, &calibration, arguments.dip.map(f64::to_radians))?;
+    let file = |after| calibration.after(after, &report.source).of_device(data.info().device_id);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {
@@ -46,13 +42,14 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
 }
 
 /// The accelerometer's calibration. Without one, its bias tilts the measured gravity and changes the dip.
-fn calibrated(set: Option<ParameterSet>) -> Result<ParameterSet> {
-    set.filter(|set| *set != ParameterSet::uncalibrated(set.range_g, set.sensitivity)).ok_or_else(
-        || {
-            Code::DataRefused.error(
-                "there is no calibration of the accelerometer beside the magnetometer",
-                "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
-            )
-        },
-    )
+fn calibrated(calibration: Option<Calibration>) -> Result<Calibration> {
+    let is_ideal = |calibration: &Calibration| {
+        calibration.sensor().accelerometer.model == ErrorModel::default()
+    };
+    calibration.filter(|calibration| !is_ideal(calibration)).ok_or_else(|| {
+        Code::DataRefused.error(
+            "there is no calibration of the accelerometer beside the magnetometer",
+            "calibrate it with `wimu calibrate … -o CAL.json` and add --with CAL.json",
+        )
+    })
 }

@@ -3,10 +3,8 @@
 use clap::Parser;
 use serde::Deserialize;
 use wimu_host::allan::NoiseMeter;
-use wimu_host::calibration::{
-    CalibrateOptions, Difference, MethodChoice, check_device, read_parameters,
-};
-use wimu_host::guided::Guided;
+use wimu_host::calibration::{CalibrateOptions, Calibration, Difference, MethodChoice};
+use wimu_host::guided::{Guided, Plan};
 use wimu_host::live::LiveClient;
 use wimu_host::{Input, LinkUrl, Result};
 use wimu_model::ParameterSet;
@@ -145,8 +143,9 @@ impl Board {
     /// The parameters in a file of the folder, unless they are of another device.
     fn parameters(&self, file: &str) -> Result<ParameterSet> {
         let path = self.folder.file(file)?;
-        self.hello.map_or(Ok(()), |hello| check_device(&path, hello.device_id))?;
-        read_parameters(&path)
+        let calibration = Calibration::read(&path)?;
+        self.hello.map_or(Ok(()), |hello| calibration.check_device(hello.device_id))?;
+        calibration.parameters()
     }
 
     fn do_here(&mut self, action: Action, feed: &mut Feed) -> Result<()> {
@@ -222,7 +221,8 @@ impl Board {
         };
         let file =
             self.folder.path().join(format!("calibration-{:08x}.json", hello.device_id as u32));
-        self.guided = Some(Guided::new(options, None, hello, &self.name, &file)?);
+        let plan = Plan::new(&options, None, hello)?;
+        self.guided = Some(Guided::new(plan, hello, &self.name, &file));
         self.message = String::new();
         Ok(())
     }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use wimu_host::calibration::{read_model, read_parameters, zero_count};
+use wimu_host::calibration::{Calibration, read_parameters};
 use wimu_host::capture::Capture;
 use wimu_host::formats;
 use wimu_host::inertial::{Choice, Fixes, InertialPath, Summary, navigate};
@@ -79,12 +79,12 @@ fn calibrated(
     file: &Path,
     calibration: Option<&PathBuf>,
 ) -> Result<MotionRecording> {
-    let options = TableOptions {
-        calibration: calibration.map(|file| read_model(file)).transpose()?,
-        sensitivity_lsb_per_g: arguments.sensitivity,
-    };
+    let calibration = calibration.map(|file| Calibration::read(file)).transpose()?;
+    let calibration = calibration.map(|file| file.sensor().clone());
     let mut load = arguments.reading.options(false);
-    load.stored_zero_count = calibration.and_then(|file| zero_count(file));
+    let accelerometer = calibration.as_ref().map(|sensor| &sensor.accelerometer);
+    load.stored_zero_count = accelerometer.and_then(|own| own.zero_count);
+    let options = TableOptions { calibration, sensitivity_lsb_per_g: arguments.sensitivity };
     let mut recording = formats::load(file, &load)?;
     if arguments.aids.setup.full_scales_g.is_empty() {
         return MotionRecording::of(&recording, &options);

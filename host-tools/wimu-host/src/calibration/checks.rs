@@ -1,0 +1,556 @@
+//! Checks of a session and its estimate: why there is no answer, and what a user should know beside the numbers.
+
+use wimu_calib::{
+    BeyondBounds, Covariance, Datasheet, Estimate, Face, Gravity, Method, Model, MultiPosition,
+    Parameter, Parameters, Pose, Reason, Refusal, Term, Terms, UnitHint, multi_position_with,
+};
+use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
+
+use super::poses::{Poses, median_magnitude, range_note, rms, same_orientation};
+use super::report::{AXES, Criterion, Grade};
+use super::{CalibrateOptions, MethodChoice, ModelChoice, Source, magnitude, median};
+use crate::digits::significant;
+use crate::plural::counted;
+use crate::recording::{OutputUnit, RateSource, Samples};
+use crate::{Code, Problem};
+
+/// Largest plausible residual of poses, mm/s² rms: 5 mg.
+const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
+/// Largest plausible residual of rotations, mm/s² rms: twice g √2 · 0.02/2, the 1 σ effect of misalignments of 2 %, which they
+/// do not fit.
+const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
+/// Scatter of the poses of a consumer sensor, mm/s², 1 σ.
+const SCATTER_MM_S2: f64 = 10.0;
+/// Normal deviate that is exceeded with a probability of 0.1 %.
+const UNLIKELY: f64 = 3.09;
+/// Percentage of the scale factors' variance from which on gravity dominates it.
+const DOMINATES_PERCENT: f64 = 50.0;
+/// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
+const UNUSUAL: f64 = 0.1;
+/// Departure of the magnitude at rest from gravity that is refused.
+const WRONG: f64 = 0.25;
+/// Relative difference of the data's sensitivity to a usual one that is taken for it.
+const NEAR: f64 = 0.1;
+/// Largest relative departure of magnitudes from their median that indicates normalised data, as after rounding to four
+/// digits. Chosen: a sensor differs by more.
+const ROUNDING: f64 = 5e-5;
+/// Fewest orientations for that test.
+const MIN_ORIENTATIONS: usize = 6;
+/// Largest number of rows that can be pose means, and their largest rate, Hz: a pose takes seconds.
+const MAX_MEANS: usize = 2000;
+const MAX_MEANS_HZ: f64 = 5.0;
+/// Angle between the means of successive seconds of a sensor that is rotated slowly by hand, degrees. Chosen.
+const SLOW_ROTATION: std::ops::RangeInclusive<f64> = 0.5..=30.0;
+
+/// Poses that cannot be those of an accelerometer in m/s²: clipped, of a wrong unit or sensitivity, or normalised.
+pub(super) fn refusal(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
+    wrong_unit(data, found, gravity)
+        .or(found.saturated.map(Refusal::saturated))
+        .or_else(|| wrong_magnitude(found, gravity))
+}
+
+/// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
+fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
+    let is_known = !matches!(data.unit, OutputUnit::Counts { nominal: None, .. });
+    if !is_known || data.poses || found.poses.len() > 3 {
+        return None;
+    }
+    let mean_mps2 = median_magnitude(data) * found.scale;
+    let typical = Pose::from_mean([mean_mps2, 0.0, 0.0]);
+    let bias = MultiPosition { model: Model::Bias3, ..MultiPosition::default() };
+    match multi_position_with(&[typical; 4], gravity, bias) {
+        Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => {
+            Some(Refusal::unexpected_magnitude(mean_mps2, hint))
+        }
+        _ => None,
+    }
+}
+
+/// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose.
+fn wrong_magnitude(found: &Poses, gravity: Gravity) -> Option<Refusal> {
+    let sizes = || found.poses.iter().map(|pose| magnitude(pose.mean_mps2));
+    let mean_mps2 = median(sizes())?;
+    let refused = |hint| Some(Refusal::unexpected_magnitude(mean_mps2, hint));
+    let ratio = mean_mps2 / gravity.mps2();
+    let scatter = rms(sizes().map(|size| size / mean_mps2 - 1.0))?;
+    // Beyond, it is another unit; where the magnitudes differ, it is one axis.
+    if (ratio - 1.0).abs() > WRONG && (0.4..=2.1).contains(&ratio) && scatter < UNUSUAL {
+        return refused(UnitHint::Sensitivity);
+    }
+    let mut different: Vec<&Pose> = Vec::new();
+    for pose in &found.poses {
+        if !different.iter().any(|other| same_orientation(other, pose)) {
+            different.push(pose);
+        }
+    }
+    let alike = sizes().all(|size| (size / mean_mps2 - 1.0).abs() < ROUNDING);
+    // Coarse counts of an accurate sensor are equal too, but whole numbers.
+    let counts = |value: &f64| value / found.scale;
+    let is_whole = |value: &f64| (counts(value) - counts(value).round()).abs() < 1e-6;
+    let mut values = found.poses.iter().flat_map(|pose| &pose.mean_mps2);
+    if alike && !values.all(is_whole) && different.len() >= MIN_ORIENTATIONS {
+        return refused(UnitHint::Normalised);
+    }
+    None
+}
+
+/// Start times of the poses, so that a person can find them; empty where there are none or too many.
+pub(super) fn start_times(data: &Samples<'_>, poses: &[Pose]) -> String {
+    if data.poses || poses.is_empty() || poses.len() > 40 {
+        return String::new();
+    }
+    let start = |pose: &Pose| format!("{:.0}", data.since_start_s(pose.first_sample as usize));
+    let starts: Vec<String> = poses.iter().map(start).collect();
+    format!(" (starting at {} s)", starts.join(", "))
+}
+
+/// That an estimate misses the target that was given.
+pub(super) fn target(grade: &Grade) -> Option<Problem> {
+    if grade.criterion != Criterion::Target || grade.met != Some(false) {
+        return None;
+    }
+    let remedy = "add the recommended poses, hold each longer, or give a larger --target";
+    Some(Code::Residuals.warning(grade.to_string()).remedy(remedy))
+}
+
+/// What is known of a session beside its estimate.
+pub(super) struct Context<'a> {
+    pub data: &'a Samples<'a>,
+    pub options: &'a CalibrateOptions,
+    pub poses: &'a [Pose],
+    /// Poses left out of the fit.
+    pub rejected: &'a [usize],
+    pub lsb_per_g: Option<f64>,
+    /// Sensitivity and range for a board.
+    pub board: Option<(Sensitivity, (u8, Source))>,
+    /// Whether a gyroscope was calibrated: it shows swapped axes.
+    pub has_gyroscope: bool,
+}
+
+impl Context<'_> {
+    /// Why the data were refused, and which option of the command line helps. `used_lsb_per_g` converted the counts.
+    pub fn reason(&self, refusal: &Refusal, used_lsb_per_g: Option<f64>) -> String {
+        let (data, poses, options) = (self.data, self.poses, self.options);
+        let has = poses.len();
+        if let Reason::Placement { index: pose, steps: steps @ 3..=4 } = refusal.reason
+            && has < pose + steps
+        {
+            return self.incomplete_rotation(pose, steps);
+        }
+        let mut reason = refusal.to_string();
+        if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
+            let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
+            let datasheet = options.datasheet.or(data.datasheet());
+            return reason + "; " + &likely_sensitivity(ratio, used_lsb_per_g, datasheet);
+        }
+        if looks_like_means(data, has) {
+            return reason
+                + "; the rows look like means over static poses: if they are, add --poses";
+        }
+        if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
+            let text = format!("the sensor rotated all the time, at {deg_per_s:.0}°/s");
+            return reason + "; " + &text + ": hold it still in each pose";
+        }
+        if has == 1 && !data.poses {
+            return reason + "; for the noise of a sensor at rest use `wimu allan`";
+        }
+        if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
+            reason.extend(self.what_changed());
+        }
+        if !refusal.needs_poses() || options.method != MethodChoice::MultiPosition {
+            return reason;
+        }
+        if options.model != ModelChoice::Auto && has > Model::Bias3.parameters() {
+            return reason + "; --model auto chooses the model that these poses support best";
+        }
+        let is_up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
+        if Face::ALL.iter().all(is_up) {
+            reason += "; all six sides are present: if they were placed squarely, --method six-position estimates all 12 \
+                       parameters";
+        }
+        reason
+    }
+
+    fn incomplete_rotation(&self, pose: usize, steps: usize) -> String {
+        let (has, degrees) = (self.poses.len(), 360 / steps.max(1));
+        if has < steps {
+            return format!(
+                "{} found, a rotation has {steps} steps of {degrees}°: rotate about one axis of the sensor, in one direction, \
+                 and hold it still for two seconds at each step",
+                counted(has, "static pose")
+            );
+        }
+        let last = if has > pose + 1 { format!(" to {}", has - 1) } else { String::new() };
+        format!(
+            "poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis: give {steps} poses \
+             for each rotation, in order, and no others{}",
+            has - pose,
+            start_times(self.data, self.poses)
+        )
+    }
+
+    /// Which effect may have changed the bias between poses, and which option fits it.
+    fn what_changed(&self) -> Option<String> {
+        let options = self.options;
+        if options.method != MethodChoice::MultiPosition
+            || options.terms.contains(Term::BiasTemperature)
+        {
+            return None;
+        }
+        let ends = |values: Option<Vec<f64>>| {
+            let values = values?;
+            let low = values.iter().copied().reduce(f64::min)?;
+            Some((low, values.into_iter().fold(low, f64::max)))
+        };
+        let celsius = ends(self.poses.iter().map(|pose| pose.temperature_c).collect());
+        if let Some((low, high)) = celsius.filter(|(low, high)| high - low >= 1.0) {
+            return Some(format!(
+                "; the temperature changed from {low:.0} to {high:.0} °C: --model auto+temperature fits its effect"
+            ));
+        }
+        if options.terms.contains(Term::Drift) || options.model == ModelChoice::Auto {
+            return None;
+        }
+        let (begin, end) = ends(Some(self.poses.iter().map(|pose| pose.time_s).collect()))?;
+        let text = "; the bias may have drifted: --model auto+drift fits that";
+        (end > begin).then(|| text.to_owned())
+    }
+
+    /// All problems but the refusal; `changed` is a change of the sensor during the session.
+    pub fn problems(&self, estimate: Option<&Estimate>, changed: Option<Problem>) -> Vec<Problem> {
+        let (data, options) = (self.data, self.options);
+        let mut problems = data.findings();
+        if data.rate.is_some() && (data.poses || options.method != MethodChoice::MultiPosition) {
+            let text =
+                "the gyroscope is not calibrated: multi-position does it with continuous samples";
+            problems.push(Code::Uncalibrated.note(text));
+        }
+        if data.info().corrected {
+            let text = format!("`{}` was corrected by the device before", data.info().name);
+            let remedy =
+                "the result is what that correction left: calibrate the sensor's raw output";
+            problems.push(Code::AlreadyCorrected.warning(text).remedy(remedy));
+        }
+        let Some(estimate) = estimate else { return problems };
+        problems.extend(not_fitted(estimate));
+        problems.extend(placement(self.poses, estimate));
+        problems.extend(self.in_another_unit(estimate));
+        problems.extend(estimate.beyond_bounds.map(beyond_bounds));
+        problems.extend(self.sensitivity(estimate));
+        problems.extend(unobserved_by_rotations(self.poses, estimate));
+        let is_explained = changed.is_some() || estimate.beyond_bounds.is_some();
+        problems.extend(changed);
+        problems.extend(self.residuals(estimate).filter(|_| !is_explained));
+        problems.extend(self.of_boards());
+        if !self.has_gyroscope
+            && (options.method != MethodChoice::SixPosition || options.sides.is_none())
+        {
+            let text = "swapped, mirrored or inverted axes cannot be detected";
+            let remedy = "to detect them use --method six-position --sides, or record a gyroscope";
+            problems.push(Code::Axes.note(text).remedy(remedy));
+        }
+        let source = options.gravity().map_or(Source::Given, |(_, source)| source);
+        let (model, fitted) = (estimate.model.terms(), estimate.fitted);
+        problems.extend(gravity(model, &estimate.covariance, fitted, estimate.gravity, source));
+        if !self.rejected.is_empty() {
+            let count = counted(estimate.rejected.len().max(self.rejected.len()), "pose");
+            let text = "left out because the others contradict them";
+            let text = format!("{count} {text}: {:?} (from 0)", self.rejected);
+            problems.push(Code::PosesLeftOut.warning(text));
+        }
+        problems
+    }
+
+    /// Rejected poses that appear to be in g among poses in m/s².
+    fn in_another_unit(&self, estimate: &Estimate) -> Option<Problem> {
+        let g = estimate.gravity.mps2();
+        let is_in_g = |k: &&usize| {
+            let pose = self.poses.get(**k);
+            pose.is_some_and(|pose| (7.3..13.0).contains(&(g / magnitude(pose.mean_mps2))))
+        };
+        let in_g: Vec<&usize> = self.rejected.iter().filter(is_in_g).collect();
+        if in_g.is_empty() {
+            return None;
+        }
+        let text = "poses that were left out appear to be in g, the others in m/s²";
+        let problem = Code::PosesLeftOut.warning(format!("{text}: {in_g:?} (from 0)"));
+        Some(problem.remedy("use one unit"))
+    }
+
+    /// Scale factors far from 1.
+    fn sensitivity(&self, estimate: &Estimate) -> Option<Problem> {
+        let matrix = estimate.model.terms().matrix;
+        let is_far = |axis: &usize| {
+            let is_fitted = estimate.fitted.contains(Parameter::ALL[3 + 4 * axis]);
+            is_fitted && (matrix[*axis][*axis] - 1.0).abs() > UNUSUAL
+        };
+        let far: Vec<String> = (0..3)
+            .filter(is_far)
+            .map(|axis| format!("{} {:.3}", AXES[axis], matrix[axis][axis]))
+            .collect();
+        if far.is_empty() {
+            return None;
+        }
+        let mean = (matrix[0][0] + matrix[1][1] + matrix[2][2]) / 3.0;
+        let counts = matches!(self.data.unit, OutputUnit::Counts { .. });
+        let datasheet = self.options.datasheet.or(self.data.datasheet());
+        let remedy = if (mean - 1.0).abs() > UNUSUAL {
+            likely_sensitivity(mean, self.lsb_per_g.filter(|_| counts), datasheet)
+        } else {
+            "check these axes for damage or saturation".to_owned()
+        };
+        let text = format!("scale factors more than 10 % from 1: {}", far.join(", "));
+        Some(Code::Sensitivity.warning(text).remedy(remedy))
+    }
+
+    /// Residuals larger than those of an intact sensor.
+    fn residuals(&self, estimate: &Estimate) -> Option<Problem> {
+        let rms = estimate.fitted_rms_mps2 * 1e3;
+        let most = match estimate.method {
+            Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
+            Method::MultiPosition(Model::Full9) => most_rms_mm_s2(self.poses, estimate),
+            _ => SUSPICIOUS_RMS_MM_S2,
+        };
+        (rms > most).then(|| {
+            Code::Residuals.warning(format!(
+                "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or \
+                 poses are disturbed"
+            ))
+        })
+    }
+
+    /// What a board needs and does not get.
+    fn of_boards(&self) -> Option<Problem> {
+        match (self.board, self.lsb_per_g) {
+            (Some((sensitivity, range)), _) => range_note(range, sensitivity),
+            (None, Some(lsb_per_g)) => Some(Code::NotForBoards.warning(format!(
+                "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or \
+                 exported"
+            ))),
+            (None, None) => Some(no_sensitivity()),
+        }
+    }
+}
+
+/// What the sensitivity probably is, where that in use is wrong by the factor `ratio`.
+fn likely_sensitivity(ratio: f64, used: Option<f64>, sensor: Option<&Datasheet>) -> String {
+    let Some(used) = used else {
+        return format!("the sensitivity that converted the data is {ratio:.3} times too small");
+    };
+    let fitted = used * ratio;
+    let shown = (10.0 * used).round() / 10.0;
+    let known = Datasheet::KNOWN.iter().flat_map(|sheet| sheet.sensitivities_lsb_per_g);
+    let usual: Vec<f64> = match sensor {
+        Some(sheet) => sheet.sensitivities_lsb_per_g.to_vec(),
+        None => (0..11).map(|k| 256.0 * f64::from(1 << k)).chain(known.copied()).collect(),
+    };
+    let off = |lsb_per_g: &f64| (fitted / lsb_per_g - 1.0).abs();
+    let nearest = usual.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+    match nearest.filter(|nearest| off(nearest) < NEAR && off(nearest) < off(&used)) {
+        Some(nearest) => {
+            format!("{nearest} LSB/g is likely instead of {shown}: --sensitivity {nearest}")
+        }
+        None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
+    }
+}
+
+/// Median angular rate, degrees per second, of a sensor that was rotated slowly and never held still.
+fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
+    if data.poses {
+        return None;
+    }
+    let second = data.rate_hz.round().max(1.0) as usize;
+    let values: Vec<[f64; 3]> = data.values().collect();
+    let mean = |samples: &[[f64; 3]]| {
+        let sum = |axis: usize| samples.iter().map(|value| value[axis]).sum::<f64>();
+        [0, 1, 2].map(|axis| sum(axis) / second as f64)
+    };
+    let means: Vec<[f64; 3]> = values.chunks_exact(second).map(mean).collect();
+    let between = |pair: &[[f64; 3]]| {
+        let dot: f64 = (0..3).map(|axis| pair[0][axis] * pair[1][axis]).sum();
+        let cosine = dot / (magnitude(pair[0]) * magnitude(pair[1]));
+        cosine.clamp(-1.0, 1.0).acos().to_degrees()
+    };
+    let angles: Vec<f64> = means.windows(2).map(between).collect();
+    let turning = angles.iter().filter(|angle| SLOW_ROTATION.contains(angle)).count();
+    let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
+    median(angles).filter(|_| enough)
+}
+
+/// Whether the rows are pose means instead of samples: no times or slow ones, few poses found, and nearly all of the magnitude
+/// of gravity.
+fn looks_like_means(data: &Samples<'_>, found: usize) -> bool {
+    let is_slow = data.rate_source == RateSource::Assumed || data.rate_hz < MAX_MEANS_HZ;
+    if data.poses || found > 1 || data.len() > MAX_MEANS || !is_slow {
+        return false;
+    }
+    let median = median_magnitude(data);
+    let near = |value: &[f64; 3]| (magnitude(*value) / median - 1.0).abs() < 0.2;
+    10 * data.values().filter(near).count() >= 9 * data.len()
+}
+
+/// What rotations about level axes cannot observe.
+fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
+    let steps = match estimate.method {
+        Method::FourAngle => 4,
+        Method::ThreeAngle => 3,
+        _ => return Vec::new(),
+    };
+    let mut problems = Vec::new();
+    let biases = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ];
+    if let Some(axis) = biases.into_iter().position(|bias| !estimate.fitted.contains(bias)) {
+        let mean = poses.iter().map(|pose| pose.mean_mps2[axis]).sum::<f64>() / poses.len() as f64;
+        let sine = (mean / estimate.gravity.mps2()).abs().min(1.0);
+        let text = format!(
+            "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which lowers \
+             the scale factors by {:.1} %",
+            AXES[axis],
+            sine.asin().to_degrees(),
+            100.0 * (1.0 - (1.0 - sine * sine).sqrt()),
+        );
+        let remedy = "rotate about another axis to separate them";
+        problems.push(Code::NotObserved.warning(text).remedy(remedy));
+    }
+    if steps == 3 && poses.len() == steps {
+        let text = "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %";
+        let problem = Code::NotObserved.warning(text);
+        problems.push(problem.remedy("--method four-angle detects it"));
+    }
+    problems
+}
+
+/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² (Wilson and Hilferty) for the
+/// usual scatter and the noise of the poses.
+fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
+    let dof = estimate.dof.max(1) as f64;
+    let ninths = 2.0 / (9.0 * dof);
+    let ratio = (1.0 - ninths + UNLIKELY * ninths.sqrt()).powi(3);
+    let scatter = SCATTER_MM_S2.hypot(pose_noise_mps2(poses) * 1e3);
+    scatter * (ratio * dof / estimate.poses as f64).sqrt()
+}
+
+/// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.
+fn pose_noise_mps2(poses: &[Pose]) -> f64 {
+    let of_mean = |pose: &Pose| pose.sd_mps2.map(|sd| sd / f64::from(pose.samples.max(1)).sqrt());
+    poses.iter().flat_map(of_mean).fold(0.0, f64::max)
+}
+
+/// A model that fits better than the one that was selected, but is not plausible.
+fn beyond_bounds(beyond: BeyondBounds) -> Problem {
+    let BeyondBounds { model, terms, error } = beyond;
+    let with = if terms == Terms::NONE { String::new() } else { format!(" with {terms}") };
+    let text = format!("the {model}{with} fits much better, but is not plausible: {error}");
+    Code::SmallerModel.warning(text).remedy(
+        "a smaller model was used, whose intervals do not include this: check the sensor and the data",
+    )
+}
+
+/// Why a calibration cannot be pushed or exported.
+pub(super) fn no_sensitivity() -> Problem {
+    let remedy = "to push this calibration, calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+    Code::NotForBoards.note("the data are in m/s² or g, a board needs counts").remedy(remedy)
+}
+
+/// The parameters that were not fitted.
+fn not_fitted(estimate: &Estimate) -> Vec<Problem> {
+    let is_missing = |parameters: &[Parameter]| {
+        parameters.iter().all(|parameter| !estimate.fitted.contains(*parameter))
+    };
+    let mut problems = Vec::new();
+    let scales = is_missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
+    if scales {
+        problems.push(Code::NotObserved.note("scale factors were not fitted: taken as 1"));
+    }
+    let misalignments = is_missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]);
+    if misalignments {
+        let mrad = estimate.sd().matrix[1][0] * 1e3;
+        let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
+        problems.push(Code::NotObserved.note(text));
+    }
+    let is_other = |parameter: &Parameter| match parameter.index() {
+        0..3 => true,
+        3 | 7 | 11 => !scales,
+        _ => !misalignments,
+    };
+    let others = estimate.not_observed();
+    let others: Vec<String> =
+        others.iter().filter(is_other).map(|parameter| parameter.to_string()).collect();
+    if !others.is_empty() {
+        problems.push(Code::NotObserved.warning(format!(
+            "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
+            others.join(", ")
+        )));
+    }
+    problems
+}
+
+/// Errors of the placement and the repeatability of known orientations.
+fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
+    let mut problems = Vec::new();
+    let Method::SixPosition {
+        placement_sd_rad,
+        declared_sd_rad,
+        misplaced,
+        revisit_sd_mps2,
+        revisits,
+        unexplained,
+    } = estimate.method
+    else {
+        return problems;
+    };
+    let declared = declared_sd_rad.to_degrees();
+    if let Some(side) = misplaced {
+        let or = if side.or_opposite { " or the opposite side" } else { "" };
+        let text = format!(
+            "side {} up{or} was placed {:.1}° off, declared is {declared:.1}° (1 σ); the intervals of its axis include this",
+            side.face,
+            side.tilt_rad.to_degrees()
+        );
+        problems.push(Code::Placement.warning(text).remedy("repeat it, placed squarely"));
+    }
+    if placement_sd_rad > declared_sd_rad {
+        problems.push(Code::Placement.warning(format!(
+            "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
+            placement_sd_rad.to_degrees()
+        )));
+    }
+    let mm = revisit_sd_mps2 * 1e3;
+    if unexplained {
+        problems.push(Code::Placement.warning(format!(
+            "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
+             placement; the standard deviations include this"
+        )));
+    } else if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
+        let text = format!(
+            "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed",
+            significant(mm, 3)
+        );
+        problems.push(Code::Placement.note(text).remedy("measure each side twice to determine it"));
+    }
+    problems
+}
+
+/// That the default gravity dominates the intervals of the scale factors.
+pub(super) fn gravity(
+    model: &ErrorTerms,
+    covariance: &Covariance,
+    fitted: Parameters,
+    gravity: Gravity,
+    source: Source,
+) -> Option<Problem> {
+    let percent = |(axis, parameter): (usize, Parameter)| {
+        let of_gravity = model.matrix[axis][axis] * gravity.sd_mps2() / gravity.mps2();
+        100.0 * (of_gravity / covariance.sd(parameter)).powi(2)
+    };
+    let scales = [Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ].into_iter().enumerate();
+    let percent =
+        scales.filter(|(_, scale)| fitted.contains(*scale)).map(percent).reduce(f64::min)?;
+    (source == Source::Default && percent > DOMINATES_PERCENT).then(|| {
+        let text = format!(
+            "local gravity is not known: 9.80665 ± 0.015 m/s² causes {:.0} % of the variance of the scale factors",
+            percent.min(100.0)
+        );
+        let problem = Code::GravityAssumed.note(text);
+        problem.remedy("give --latitude DEG,HEIGHT of the place, or --gravity")
+    })
+}

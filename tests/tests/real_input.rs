@@ -39,8 +39,12 @@ fn essence(report: &CalibrationReport) -> Value {
     for key in ["source", "rate_source", "parameter_id"] {
         object.remove(key).unwrap();
     }
-    for key in ["range_g", "range_source"] {
+    // A board that replays the counts of an accelerometer has no gyroscope.
+    for key in ["range_g", "range_source", "gyroscope"] {
         object.remove(key);
+    }
+    if let Some(parameters) = object.get_mut("parameters").and_then(Value::as_object_mut) {
+        parameters.remove("gyroscope");
     }
     let poses = object.get_mut("static_poses");
     for pose in poses.and_then(Value::as_array_mut).into_iter().flatten() {

@@ -280,7 +280,7 @@ pub struct Simulate {
     /// Erase key and settings at the start
     ///
     /// Start with the key reset at the board: it erases key and settings
-    #[arg(long)]
+    #[arg(hide_short_help = true, long)]
     pub forget_key: bool,
     /// Address of the cable
     #[arg(long, default_value = "127.0.0.1:7100", value_name = "ADDRESS")]

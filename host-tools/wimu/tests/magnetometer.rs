@@ -142,9 +142,9 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let axes = |name: &str, unit: &str| {
         ["X", "Y", "Z"].map(|axis| format!("{name} {axis} ({unit})")).join(",")
     };
-    let mut text = format!("{},{}\n", axes("Accelerometer", "m/s²"), axes("Magnetometer", "µT"));
+    let mut text = format!("{},{}\n", axes("Accelerometer", "LSB"), axes("Magnetometer", "µT"));
     for _ in 0..20 {
-        text += "0,0,9.81,20,0,-44\n";
+        text += "0,0,16384,20,0,-44\n";
     }
     fs::write(&csv, &text).unwrap();
     let of = ["calibrate", &csv, "--poses"];
@@ -155,9 +155,9 @@ fn too_few_orientations_or_no_magnetometer_are_refused() {
     let ran = wimu(&[&of[..], &["--method", "magnetometer"]].concat());
     texts.fails("accelerometer not calibrated", &ran, 3, "data_refused");
 
-    let mut text = axes("Accelerometer", "m/s²");
+    let mut text = axes("Accelerometer", "LSB");
     for _ in 0..20 {
-        write!(text, "\n0,0,9.81").unwrap();
+        write!(text, "\n0,0,16384").unwrap();
     }
     fs::write(&csv, text).unwrap();
     let ran = wimu(&[&of[..], &with].concat());

@@ -3,6 +3,7 @@
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::ArrayRecording;
+use crate::plural::counted;
 use crate::series::Ns;
 
 /// Shortest constant output of a stopped sensor while most others change in each sample, samples.
@@ -31,6 +32,29 @@ impl ArrayRecording {
         self.leave_out_stopped();
         self.find_limits();
         self
+    }
+
+    /// Remarks which sensors give no number, and where.
+    pub(super) fn report_absent(&mut self) {
+        let is_absent =
+            |row: &&Vec<[f64; 3]>, sensor: usize| row[sensor].iter().any(|v| !v.is_finite());
+        let mut places = Vec::new();
+        for sensor in 0..self.sensors() {
+            let absent = self.outputs.iter().filter(|row| is_absent(row, sensor)).count();
+            let Some(first) = self.outputs.iter().position(|row| is_absent(&row, sensor)) else {
+                continue;
+            };
+            let at_s = Ns(self.start_ns).s() + self.times_s[first];
+            places.push(if self.outputs.len() - first == absent {
+                format!("sensor {sensor} (from 0) from {at_s:.2} s on")
+            } else {
+                let samples = counted(absent, "sample");
+                format!("{samples} of sensor {sensor} (from 0), first at {at_s:.2} s")
+            });
+        }
+        if !places.is_empty() {
+            self.remarks.push(format!("no number, left out there: {}", places.join("; ")));
+        }
     }
 
     fn leave_out_stopped(&mut self) {

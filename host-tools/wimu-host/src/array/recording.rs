@@ -54,6 +54,7 @@ impl ArrayRecording {
     /// Those of [`formats::load`]; `csv_missing_column` without times or with one accelerometer only.
     pub fn from_csv(path: &Path, sensitivity_lsb_per_g: f64) -> Result<Self> {
         let mut recording = Self::of_table(path, sensitivity_lsb_per_g, 2)?;
+        recording.report_absent();
         recording.leave_out_beyond();
         Ok(recording.judged())
     }

@@ -105,7 +105,9 @@ pub fn values_text(values: &[f64]) -> String {
     match values {
         [value] => value.to_string(),
         all => {
-            let all = all.iter().map(|value| format!("{value:+.5}"));
+            // Adding zero makes −0 positive.
+            let rounded = all.iter().map(|value| (value * 1e5).round() / 1e5 + 0.0);
+            let all = rounded.map(|value| format!("{value:+.5}"));
             Vec::from_iter(all).join(" ")
         }
     }

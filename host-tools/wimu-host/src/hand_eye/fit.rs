@@ -391,6 +391,25 @@ impl Equations {
         let count = parts.len() as f64;
         changes.sum::<Shared>() * ((count - 1.0) / count)
     }
+
+    /// The same with residuals that are scaled for the leverage of their part (CR2 of Bell & McCaffrey 2002): unbiased for white
+    /// noise also where one part shows most of a parameter, which inflates the jackknife. Equal parts give the jackknife.
+    fn scatter(&self, parts: &[(usize, Normal)]) -> Option<Shared> {
+        let whiten = self.information.cholesky()?.l().try_inverse()?;
+        let changes = parts.iter().map(|(block, part)| {
+            let (information, gradient) = self.normals[*block].without(part);
+            let others = self.information - self.reduced[*block].0 + information;
+            let remaining = (whiten * others * whiten.transpose()).symmetric_eigen();
+            // A direction that only this part shows has no residual.
+            let scale =
+                remaining.eigenvalues.map(|r| if r > RANK { r.sqrt().recip() } else { 0.0 });
+            let along = remaining.eigenvectors.transpose() * (whiten * gradient);
+            let scaled = remaining.eigenvectors * scale.component_mul(&along);
+            let change = whiten.transpose() * scaled;
+            change * change.transpose()
+        });
+        Some(changes.sum())
+    }
 }
 
 /// Fits; `None` if the equations are singular.
@@ -411,11 +430,13 @@ pub(super) fn fit(
     let equations =
         Equations::at(&state, body, observations, searched_s, &mut variances, CURVATURE)?;
     let variances = variances?;
-    let groups = equations.jackknife(&equations.groups());
+    let groups = equations.groups();
     let blocks: Vec<(usize, Normal)> = equations.normals.iter().cloned().enumerate().collect();
-    let (birge, dof) = birge(&groups, &equations.jackknife(&blocks), blocks.len());
+    let scatter = [equations.scatter(&groups)?, equations.scatter(&blocks)?];
+    let white = equations.information.try_inverse()?;
+    let (birge, dof) = birge(&scatter, &white, blocks.len());
     // Variance of Student's t with the degrees of freedom of the Birge ratio.
-    let covariance = groups * (birge.max(1.0) * dof / (dof - 2.0));
+    let covariance = equations.jackknife(&groups) * (birge.max(1.0) * dof / (dof - 2.0));
     let residuals = equations.rows.iter().zip(&equations.weights);
     let residuals = residuals.map(|(row, weights)| Residual {
         time_s: row.time_s,
@@ -428,15 +449,18 @@ pub(super) fn fit(
         residuals: residuals.collect(),
         state,
         covariance,
-        white: equations.information.try_inverse()?,
+        white,
         birge,
         noise: variances.map(f64::sqrt),
     })
 }
 
-/// Scatter of the blocks over that of the groups of poses (Birge 1932), and its degrees of freedom.
-fn birge(groups: &Shared, blocks: &Shared, count: usize) -> (f64, f64) {
-    let scale = groups.diagonal().map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
+/// Scatter of the blocks over that of the groups of poses (Birge 1932), and its degrees of freedom. Both must be unbiased: a block
+/// has more leverage than a group.
+fn birge([groups, blocks]: &[Shared; 2], white: &Shared, count: usize) -> (f64, f64) {
+    // What has its prior only scatters by rounding.
+    let recip = |d: f64, white: f64| if d > RANK * white { d.sqrt().recip() } else { 0.0 };
+    let scale = groups.diagonal().zip_map(&white.diagonal(), recip);
     let scaled =
         |matrix: &Shared| Shared::from_diagonal(&scale) * matrix * Shared::from_diagonal(&scale);
     let eigen = scaled(groups).symmetric_eigen();

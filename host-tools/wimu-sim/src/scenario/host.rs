@@ -92,15 +92,17 @@ impl<'a, R: VirtualBoard> Host<'a, R> {
     pub fn run_until(&mut self, end_s: f64) -> Result<()> {
         while self.now_s() < end_s {
             self.cable.next_event(Duration::from_millis(20))?;
-            while self.wireless.next_event(Duration::ZERO)?.is_some() {}
+            self.keep()?;
         }
         Ok(())
     }
 
-    /// Stores the data of both links so far for the recording.
+    /// Stores the data of both links so far for the recording: whatever has arrived is read.
     fn keep(&mut self) -> Result<()> {
-        for client in [&mut self.cable, &mut self.wireless] {
-            while client.next_event(Duration::ZERO)?.is_some() {}
+        for (index, client) in [&mut self.cable, &mut self.wireless].into_iter().enumerate() {
+            while client.next_event(Duration::ZERO)?.is_some()
+                || !self.ends.borrow().arrived[index].is_empty()
+            {}
             self.heard.extend(client.take_data());
         }
         Ok(())

@@ -63,7 +63,7 @@ pub struct Calibrate {
     ///
     /// Calibration to update, or calibration of the accelerometer beside the magnetometer [default: that of the
     /// recording or the device]
-    #[arg(long, value_name = "CAL.json", help_heading = "Input")]
+    #[arg(hide_short_help = true, long, value_name = "CAL.json", help_heading = "Input")]
     pub with: Option<PathBuf>,
 
     /// How to calibrate
@@ -79,19 +79,21 @@ pub struct Calibrate {
     /// Local gravity, m/s²
     ///
     /// Local gravity, m/s² [default: 9.80665 m/s², uncertainty ± 0.015 m/s² (1 σ)]
-    #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
+    #[arg(hide_short_help = true, long, value_name = "M_S2", value_parser = from_to(9.7, 9.9), help_heading = "Model")]
     pub gravity: Option<f64>,
     /// Latitude of the place, and its height
     ///
     /// Latitude of the place, degrees, negative in the south, and its height, m: gravity by the WGS 84 formula,
     /// ± 0.0005 m/s² (1 σ)
-    #[arg(long, value_name = "DEG[,M]", allow_hyphen_values = true, value_parser = place, conflicts_with = "gravity", help_heading = "Model")]
+    #[arg(hide_short_help = true, long, value_name = "DEG[,M]", allow_hyphen_values = true, value_parser = place, conflicts_with = "gravity", help_heading = "Model")]
     pub latitude: Option<Place>,
     /// Compare with the datasheet of this sensor, such as MPU-6050 [default: the board's sensor]
     #[arg(hide_short_help = true, long, value_name = "NAME", help_heading = "Model")]
     pub chip: Option<String>,
-    /// Largest error in the worst orientation that the calibration is to have, such as 10mg: a warning if it is missed
-    /// [default: compare with the noise of a sample]
+    /// Largest error that is wanted, such as 10mg
+    ///
+    /// Largest error in the worst orientation that is wanted, such as 10mg: a warning if it is missed [default: compare
+    /// with the noise of a sample]
     #[arg(long, value_name = "ERROR", value_parser = acceleration, help_heading = "Model")]
     pub target: Option<f64>,
     /// For method magnetometer: dip of the Earth's field, degrees, negative south of the magnetic equator. Its sign shows a
@@ -111,6 +113,7 @@ pub struct Calibrate {
     ///
     /// Calibrate all accelerometers of an array, whose `geometry` is in this setup, see `wimu navigate --print-setup`. Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
     #[arg(
+        hide_short_help = true,
         long,
         value_name = "SETUP.toml|KEY=VALUE",
         help_heading = "Arrays",
@@ -134,7 +137,7 @@ pub struct Calibrate {
     /// Number of poses to capture (LINK only)
     ///
     /// Number of poses to capture (LINK only), at most 64 [default: 12]
-    #[arg(long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
+    #[arg(hide_short_help = true, long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
     pub count: Option<u8>,
     /// Continue an interrupted session: its poses are in CAL.poses.csv, or wimu-calibration.poses.csv without -o (LINK only)
     #[arg(hide_short_help = true, long, help_heading = "Device")]

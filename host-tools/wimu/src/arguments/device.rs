@@ -136,7 +136,7 @@ pub struct Change {
     #[arg(long, value_enum)]
     pub zupt: Option<Switch>,
     /// Local gravity, m/s²
-    #[arg(long, value_name = "M_S2", value_parser = from_to(9.7, 9.9))]
+    #[arg(hide_short_help = true, long, value_name = "M_S2", value_parser = from_to(9.7, 9.9))]
     pub gravity: Option<f64>,
     /// Streams on the cable, such as raw,corrected,navigation,environment
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
@@ -145,10 +145,10 @@ pub struct Change {
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STREAMS")]
     pub wireless: Option<Vec<Carried>>,
     /// Baud rate between the board and its radio adapter from the board's next start on, bit/s
-    #[arg(long, value_name = "N")]
+    #[arg(hide_short_help = true, long, value_name = "N")]
     pub wireless_baud: Option<u32>,
     /// Samples per batch, 1 to 32, of both links or of one, such as wireless=4
-    #[arg(long, value_name = "[LINK=]N,…", value_delimiter = ',')]
+    #[arg(hide_short_help = true, long, value_name = "[LINK=]N,…", value_delimiter = ',')]
     pub batch: Vec<PerLink>,
     /// Decimation of raw and corrected samples, 1 to 255, of both links or of one. It does not filter: faster motion is
     /// aliased

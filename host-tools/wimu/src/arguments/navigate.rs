@@ -39,7 +39,7 @@ pub struct Navigate {
     #[arg(required_unless_present = "print_setup", default_value = "", hide_default_value = true)]
     pub input: PathBuf,
     /// Stop after this time, s
-    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds, help_heading = "Output")]
+    #[arg(hide_short_help = true, long = "for", value_name = "SECONDS", value_parser = seconds, help_heading = "Output")]
     pub seconds: Option<Duration>,
     /// Positions a second that are computed while a board sends [default: 10]
     #[arg(hide_short_help = true, long, value_name = "HZ", value_parser = from_to(0.01, 1000.0), help_heading = "Output")]
@@ -106,7 +106,7 @@ pub struct Navigate {
         help_heading = "Aiding"
     )]
     pub closes: Option<f64>,
-    /// Smooth over the whole recording [default: on]
+    /// Smooth over the whole recording
     ///
     /// The real-time σ is reported in either case
     #[arg(long, value_enum, value_name = "ON|OFF", default_value_t, help_heading = "Model")]
@@ -124,7 +124,7 @@ pub struct Navigate {
     ///
     /// Wheel odometry: CSV with columns `Time (s)` and, with --profile vehicle, `Speed (m/s)` or `Distance Increment (m)`;
     /// beside ranges in the plane `Distance Increment (m)` and `Heading Increment (rad)`
-    #[arg(long, value_name = "WHEELS.csv", help_heading = "Aiding")]
+    #[arg(hide_short_help = true, long, value_name = "WHEELS.csv", help_heading = "Aiding")]
     pub odometry: Option<PathBuf>,
     /// Write the path to this file, CSV or MCAP
     ///

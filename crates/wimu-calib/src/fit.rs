@@ -74,9 +74,10 @@ pub(crate) fn fit<'a>(
     let squares = ellipsoid.and_then(|start| problem.solve(&start));
     let squares = squares.or_else(|| problem.solve(&PERFECT));
     // Poses about one axis have no unique fit.
-    let fit = match what.reject {
-        true => searched(&mut problem, squares, what)?,
-        false => squares.and_then(|fit| weighted(&mut problem, fit)),
+    let fit = if what.reject {
+        searched(&mut problem, squares, what)?
+    } else {
+        squares.and_then(|fit| weighted(&mut problem, fit))
     };
     let knowledge = match &fit {
         Some(fit) => problem.knowledge(fit),
@@ -320,9 +321,10 @@ fn poor_fit(residuals: &Residuals) -> Refusal {
 
 fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal {
     let (predicted, index) = (left_out.rms_mps2(), left_out.worst_pose);
-    let predicts = match predicted.is_finite() {
-        true => format!("predicts a pose left out only to {:.2}", predicted * 1e3),
-        false => "cannot predict a pose left out".into(),
+    let predicts = if predicted.is_finite() {
+        format!("predicts a pose left out only to {:.2}", predicted * 1e3)
+    } else {
+        "cannot predict a pose left out".into()
     };
     let text = format!(
         "the {model} fits its own poses to {:.2} mm/s² rms but {predicts}: pose {index} (from 0) dominates the fit; \

@@ -25,7 +25,7 @@ const EARTHS_NT: core::ops::RangeInclusive<f64> = 1e4..=1.2e5;
 const LEAST_SHARE: f64 = 0.02;
 /// Number of poses at the same extreme value that indicates clipping.
 const CLIPPED: usize = 4;
-/// At most one pose in this many is rejected.
+/// Poses per rejected pose, at least.
 const DOUBTED: usize = 5;
 /// Smallest dip whose sign identifies a mirrored axis, rad: 5°.
 const LEVEL_RAD: f64 = 0.087;

@@ -108,12 +108,13 @@ impl Knowledge {
             let all = free.iter().zip(&self.variance);
             all.filter(|(_, variance)| **variance >= 0.1 * largest).map(|(&slot, _)| slot)
         };
-        let grows = match self.amplification < 1e4 {
-            true => format!(
+        let grows = if self.amplification < 1e4 {
+            format!(
                 "condition {:.0}, an error in a pose grows {:.0} times elsewhere",
                 self.condition, self.amplification
-            ),
-            false => "elsewhere the output could be anything".into(),
+            )
+        } else {
+            "elsewhere the output could be anything".into()
         };
         let parameters = poor().filter_map(Slot::parameter).collect();
         let terms = poor().filter_map(Slot::term).collect();
@@ -248,10 +249,8 @@ impl Magnitude<'_> {
         };
         let settings = self.settings(None);
         let mut left: Vec<f64> = rows.residual.iter().copied().collect();
-        let groups: Vec<Vec<usize>> = match each {
-            true => self.kept().map(|k| alloc::vec![k]).collect(),
-            false => self.groups(),
-        };
+        let groups: Vec<Vec<usize>> =
+            if each { self.kept().map(|k| alloc::vec![k]).collect() } else { self.groups() };
         for group in groups {
             let found = fit.left_out(self, &rows, &weights, &group, settings);
             for (i, k) in group.into_iter().enumerate() {

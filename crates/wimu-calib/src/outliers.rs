@@ -27,8 +27,9 @@ const EITHER: f64 = 0.01;
 const TRIED: usize = 3;
 /// Smallest number of degrees of freedom after rejection.
 const LEAST_DOF: usize = 3;
-/// At most one pose in this many is rejected, and at most so many poses.
+/// Poses per rejected pose, at least.
 const DOUBTED: usize = 5;
+/// Largest number of rejected poses.
 const MOST: usize = 128;
 /// Tuning constant of the Cauchy cost, standard deviations: 95 % efficiency for normal residuals.
 const CAUCHY: f64 = 2.385;

@@ -31,7 +31,7 @@ pub struct Epoch {
 }
 
 impl Epoch {
-    /// Memory of an epoch with so many states, bytes.
+    /// Memory of an epoch with `states` states, bytes.
     pub fn bytes(states: usize) -> usize {
         size_of::<f64>() * states * (5 * states + 2)
     }

@@ -423,15 +423,16 @@ impl ArrayCalibration {
 
 /// Refusal of a recording without a rest.
 fn without_rest(turns: bool) -> Problem {
-    let (message, remedy) = match turns {
-        false => (
-            "there is no rest in the recording, so neither biases nor gravity are known",
-            "hold the array still for two seconds, in several orientations",
-        ),
-        true => (
+    let (message, remedy) = if turns {
+        (
             "wherever the sensors are steady they show an even turn, so there is no rest, and neither biases nor gravity are known",
             "hold the array still for two seconds, in several orientations; check the places of the sensors",
-        ),
+        )
+    } else {
+        (
+            "there is no rest in the recording, so neither biases nor gravity are known",
+            "hold the array still for two seconds, in several orientations",
+        )
     };
     Code::DataRefused.error(message, remedy)
 }

@@ -284,7 +284,7 @@ fn common_times_s(series: &[Series<Vector3<f64>>]) -> Result<Vec<f64>> {
 }
 
 impl ArrayRecording {
-    /// Reads a table with at least so many accelerometers, at the times of the first one.
+    /// Reads a table of accelerometers, `least` or more, at the times of the first one.
     fn of_table(path: &Path, sensitivity_lsb_per_g: f64, least: usize) -> Result<Self> {
         let file = formats::load(path, &ReadOptions::default())?;
         let forces: Vec<&Track> = file.of(Quantity::SpecificForce).collect();
@@ -422,9 +422,9 @@ impl Board {
     }
 
     fn of_link(recording: &Capture, link: &Link, options: &BoardOptions) -> Result<Self> {
-        let samples = |boot: &Boot| match options.raw {
-            true => boot.raw().len(),
-            false => boot.corrected().len().max(boot.raw().len()),
+        let samples = |boot: &Boot| {
+            let corrected = if options.raw { 0 } else { boot.corrected().len() };
+            corrected.max(boot.raw().len())
         };
         let no_rows = || {
             let raw = if options.raw { "raw " } else { "" };

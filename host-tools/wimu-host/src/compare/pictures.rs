@@ -1,10 +1,7 @@
 //! Charts of a comparison.
 
-use std::path::{Path, PathBuf};
-
 use super::link::Slice;
 use super::{Axis, Comparison, History, Values};
-use crate::Result;
 use crate::chart::{self, Band, Chart, Series};
 use crate::digits::significant;
 use crate::html::Report;
@@ -49,15 +46,6 @@ impl Comparison {
                 report.chart(&chart);
             }
         }
-    }
-
-    /// Writes every chart into a folder, created if necessary, as SVG;
-    /// returns the files.
-    ///
-    /// # Errors
-    /// `file_failed`, `file_unreadable`.
-    pub fn write_pictures(&self, folder: &Path) -> Result<Vec<PathBuf>> {
-        chart::write_all(folder, &self.charts())
     }
 
     /// Largest fraction of samples taken in a slice that did not arrive: of the cable and of the

@@ -57,7 +57,7 @@ impl Signal {
         Ok(Self { force, unit_sd: Some(unit_sd) })
     }
 
-    /// The value so many seconds after the time `origin`.
+    /// The value at a time, s since `origin`.
     pub fn at(&self, origin: Ns, time_s: f64, how: Interp) -> Option<At<Vector3<f64>>> {
         self.force.at(origin.after_s(time_s), how)
     }

@@ -343,7 +343,9 @@ fn chosen(names: &[String], columns: &str) -> Result<Vec<Meaning>> {
             .split_once('=')
             .ok_or_else(|| columns_usage(format!("`{part}` is not ROLE=COLUMN")))?;
         let kind = role_of(role.trim()).ok_or_else(|| {
-            columns_usage(format!("`{role}` is none of t, x, y, z, gx, gy, gz, mx, my, mz, temp"))
+            columns_usage(format!(
+                "`{role}` is not a role: t, x, y, z, gx, gy, gz, mx, my, mz, temp"
+            ))
         })?;
         let column = column.trim();
         let (name, unit) = match column.rsplit_once(':') {

@@ -42,7 +42,7 @@ pub struct Meaning {
     pub unit_ns: Option<i64>,
     /// Unit of a component, where it is named.
     pub scale: Option<Scale>,
-    /// Whether the unit that is named is none of the quantity.
+    /// Whether the named unit does not belong to the quantity.
     pub is_unit_unknown: bool,
     pub certainty: Certainty,
 }

@@ -185,7 +185,7 @@ impl Survey {
         (repeated - (1.0 - 1.0 / sensors as f64)).abs() < 0.1
     }
 
-    /// Whether values differ more from those of the row before than from those of so many rows before.
+    /// Whether values differ more from those of the row before than from those a period of `sensors` rows before.
     fn take_turns(&self, sensors: usize) -> bool {
         let step = |distance: usize| {
             let pairs = self.first_rows.iter().zip(self.first_rows.iter().skip(distance));

@@ -162,7 +162,7 @@ pub fn split(text: &str, separator: char) -> Vec<Cow<'_, str>> {
         return fields.take(MOST_COLUMNS).collect();
     }
     if text.contains('"') {
-        // A space before a quote is none of the field.
+        // A space before a quote does not belong to the field.
         let text = text.replace(&format!("{separator} \""), &format!("{separator}\""));
         let mut reader = csv::ReaderBuilder::new();
         (reader.has_headers(false).delimiter(separator as u8)).trim(csv::Trim::All);

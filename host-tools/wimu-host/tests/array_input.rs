@@ -1,4 +1,4 @@
-//! What is claimed of arrays that are given something wrong: even turns, sensors that fail on the way,
+//! What is claimed of arrays that are given something wrong: constant rotations, sensors that fail on the way,
 //! limits nobody declared, geometries of another array, starts in motion.
 
 use crate::common;
@@ -221,9 +221,13 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
             figure(&claim, format!("{rms:.3}"), &target, rms < most);
         }
         assert!(rms < most, "{name}: {rms} {:?}", path.findings);
-        assert!(says(&path, "even turn") && says(&path, "is assumed"), "{:?}", path.findings);
+        assert!(
+            says(&path, "constant angular rate") && says(&path, "cannot be excluded"),
+            "{:?}",
+            path.findings
+        );
     }
-    // Nothing but an even turn, faster than biases explain: there is no rest.
+    // Nothing but a constant rotation, faster than biases explain: there is no rest.
     let geometry = octahedron(0.03);
     let all = simulated(
         &geometry,
@@ -231,7 +235,7 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
         &mut Random::new(6),
     );
     let error = path(&all.recording, &geometry, true).unwrap_err();
-    assert!(error.code == Code::DataRefused && error.to_string().contains("even turn"));
+    assert!(error.code == Code::DataRefused && error.to_string().contains("constant rate"));
 }
 
 /// Rests in one attitude with moves and turns between.

@@ -65,7 +65,7 @@ fn a_usual_pair_has_no_warning_and_one_line_says_what_was_merged() {
 
 #[test]
 fn a_unit_turned_in_its_mount_is_found_and_corrected() {
-    for (angle, says) in [(FRAC_PI_2, "turned by 9"), (0.5, "turned by 2"), (0.05, "")] {
+    for (angle, says) in [(FRAC_PI_2, "rotated by 9"), (0.5, "rotated by 2"), (0.05, "")] {
         let mut simulated = MultiRange::new(2, false);
         simulated.sensors[1].mount = Attitude::from_rotation_vector([0.0, 0.0, angle]);
         let merge = merge(&simulated.record());
@@ -85,7 +85,7 @@ fn a_turned_unit_that_only_rested_is_refused() {
     let alike = merge(&simulated.record());
     assert_eq!(evidence(&alike, Code::NotObserved).len(), 1);
     simulated.sensors[1].mount = Attitude::from_rotation_vector([FRAC_PI_2, 0.0, 0.0]);
-    assert!(refusal(&simulated.record()).contains("turned in its mount"));
+    assert!(refusal(&simulated.record()).contains("does not determine the rotation"));
 }
 
 #[test]

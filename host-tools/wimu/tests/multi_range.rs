@@ -24,6 +24,15 @@ fn a_simulated_pair_is_recorded_listed_exported_and_navigated() {
 
     let raw = wimu(&["convert", &session, "--sensor", "1", "-o", &path("coarse.csv")]).succeeds();
     assert!(raw["rows"].as_u64().unwrap() > 6000);
+    let topics = wimu(&["convert", &session, "-o", &path("topics.mcap")]).succeeds();
+    assert_eq!(topics["messages"]["/cable/imu_1/data_raw"], raw["rows"]);
+    let model = serde_json::json!({
+        "schema": "wimu.link_model/1", "link": "cable", "device_id": "", "pairs": 9,
+        "bias_mps2": ([0.0; 3]), "scale": ([1.0; 3]), "bias_sd_mps2": ([0.1; 3]), "scale_sd": ([0.1; 3]),
+    });
+    fs::write(path("link.json"), model.to_string()).unwrap();
+    let with = ["--sensor", "1", "--with", &path("link.json"), "-o", &path("none.csv")];
+    wimu(&[&["convert", &session], &with[..]].concat()).fails(2, "usage");
     wimu(&["calibrate", &session, "-o", &path("CAL.json")]).succeeds();
 
     let navigated = wimu(&["navigate", &session, "--with", &path("CAL.json")]).succeeds();
@@ -74,7 +83,7 @@ fn tables_need_the_full_scales_and_bad_input_is_explained() {
     let found = wimu(&["navigate", &good, "--setup", "full_scales_g=[2,16]"]).succeeds();
     assert!(found["problems"].to_string().contains("merged; where finer ones are saturated: 1 in"));
     let found = wimu(&["navigate", &turned, "--setup", "full_scales_g=[2,16]"]).succeeds();
-    assert!(found["problems"].to_string().contains("turned by 90°"), "{found}");
+    assert!(found["problems"].to_string().contains("rotated by 90°"), "{found}");
 
     for wrong in ["2", "2,16,200", "2,-16", "2,x"] {
         let refused = wimu(&["navigate", &good, "--setup", kit::setup("full_scales_g", wrong)]);

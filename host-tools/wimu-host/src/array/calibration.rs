@@ -13,6 +13,7 @@ use super::outputs::{
 };
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
 use super::{ArrayGeometry, ArrayRecording};
+use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
 /// Noise that is assumed where there is no rest to see it, m/s².
@@ -343,7 +344,7 @@ impl ArrayCalibration {
         if self.scale < MOST_SCALE {
             return Ok(());
         }
-        let differ = "at rest they differ by more than biases and scale factors of sensors do: by";
+        let differ = "at rest they differ by more than usual biases and scale factors explain: by";
         Err(contradiction(name, &format!("{differ} {:.2} m/s²", self.bias_mps2)))
     }
 
@@ -352,9 +353,8 @@ impl ArrayCalibration {
         let mut remarks = Vec::new();
         if let Some(fastest) = self.turns.iter().map(|t| t.rate_rad_s).reduce(f64::max) {
             remarks.push(format!(
-                "{} stretches with a steady mean are no rests: among each other the sensors show an even turn, \
-                 at up to {fastest:.1} rad/s",
-                self.turns.len()
+                "not rests: {} with a steady mean, in which the sensors show a constant angular rate of up to {fastest:.1} rad/s",
+                counted(self.turns.len(), "interval")
             ));
         }
         if let Some(unseen) = self.unseen_rad_s {
@@ -363,15 +363,14 @@ impl ArrayCalibration {
                 many => format!("the {many} rests"),
             };
             remarks.push(format!(
-                "that the array did not turn evenly about the vertical at {rests} is assumed: below \
-                 {unseen:.1} rad/s it would look the same"
+                "a constant rotation about the vertical below {unseen:.1} rad/s cannot be excluded at {rests}"
             ));
         }
         if let Some(why) = &self.uncalibrated {
             remarks.push(format!(
-                "the array is not calibrated: {why}. As its sensors differ, biases of ± {:.3} m/s² are allowed for; \
-                 what the rests tell of each one is taken off, which leaves sensitivities and directions wrong by ± {:.2} %. \
-                 Rests in a dozen orientations tell all: `wimu calibrate RESTS.csv --setup geometry=PLACES.csv -o ARRAY.json`",
+                "the array is not calibrated: {why}. Biases of ± {:.3} m/s² are assumed; offsets at the rests are subtracted, scale \
+                 factors and misalignments are uncertain by ± {:.2} %. Calibrate with rests in a dozen orientations: \
+                 `wimu calibrate RESTS.csv --setup geometry=PLACES.csv -o ARRAY.json`",
                 self.bias_mps2,
                 self.scale * 100.0
             ));
@@ -425,12 +424,12 @@ impl ArrayCalibration {
 fn without_rest(turns: bool) -> Problem {
     let (message, remedy) = if turns {
         (
-            "wherever the sensors are steady they show an even turn, so there is no rest, and neither biases nor gravity are known",
+            "the array rotates at a constant rate wherever its sensors are steady: without a rest neither biases nor gravity are observable",
             "hold the array still for two seconds, in several orientations; check the places of the sensors",
         )
     } else {
         (
-            "there is no rest in the recording, so neither biases nor gravity are known",
+            "the recording has no rest: neither biases nor gravity are observable",
             "hold the array still for two seconds, in several orientations",
         )
     };

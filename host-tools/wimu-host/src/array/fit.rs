@@ -326,7 +326,7 @@ pub fn refine(
     let fitted = |prior| Fitted::of(recording, geometry, calibration, prior);
     let (given, timed, mut found) = (fitted(&given)?, fitted(&exact)?, fitted(&prior)?);
     if found.rank < 6 {
-        return Err(refused("an array in a plane does not show where its sensors are"));
+        return Err(refused("the positions of sensors in one plane are not observable"));
     }
     let (before, after) = match (&given.agreement, &found.agreement) {
         (Some(before), Some(after)) if after.samples >= LEAST_SAMPLES => (before, after),

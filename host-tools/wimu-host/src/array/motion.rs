@@ -322,7 +322,7 @@ impl Pass {
             );
         } else if !zupt.is_on() {
             remarks.push(
-                "it stands still at the start: its velocity and angular rate are taken for zero there"
+                "at rest at the start: velocity and angular rate are taken as zero there"
                     .to_owned(),
             );
         }
@@ -330,7 +330,7 @@ impl Pass {
             (
                 self.gaps,
                 "gap",
-                "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
+                "longer than 0.25 s: the displacement within one is unknown, and position is not valid until the next rest",
             ),
             (self.backwards, "sample", "whose time stood still or went back: left out"),
             (self.saturated, "sample", "without the sensors that were at their limit"),
@@ -338,7 +338,7 @@ impl Pass {
             (
                 self.recoveries,
                 "rest",
-                "at which the estimated velocity was not zero: the path since the rest before is not valid; check the positions of the sensors and their sensitivity",
+                "at which the estimated velocity is not zero: the path since the rest before is not valid; check positions and sensitivity of the sensors",
             ),
         ];
         let met = met.into_iter().filter(|(count, ..)| *count > 0);

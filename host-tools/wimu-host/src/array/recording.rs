@@ -107,7 +107,7 @@ impl ArrayRecording {
         for (board, series) in boards.iter().zip(&series) {
             let clock = board.clock_sd_s.map_or_else(
                 || {
-                    "its times are taken as the table has them; `--refine` finds a constant delay"
+                    "its times are used as in the table; `--setup refine=FILE` estimates a constant delay"
                         .to_owned()
                 },
                 |sd| format!("its clock known to {:.0} µs", sd * 1e6),
@@ -116,7 +116,7 @@ impl ArrayRecording {
             recording.remarks.push(format!("{}: {rate:.2} Hz, {clock}", board.name));
             if board.without_unit > 0 {
                 recording.remarks.push(format!(
-                    "{}: {} samples left out: the range may have changed, and the epoch that tells is lost",
+                    "{}: {} samples left out: the range may have changed, and its time-reference message (Epoch) is lost",
                     board.name, board.without_unit
                 ));
             }
@@ -453,7 +453,7 @@ impl Board {
             let time_ns = boot.host_ns(sample.time).and_then(|ns| i64::try_from(utc(ns)).ok());
             let time_ns = time_ns.ok_or_else(|| {
                 Code::DataRefused.error(
-                    "nothing in it tells when its samples were taken by the host's clock",
+                    "it does not relate its samples to the host's clock",
                     "record for some seconds at the least",
                 )
             })?;

@@ -116,7 +116,7 @@ fn solve(
 ) -> std::result::Result<Fit, String> {
     let limit = options.offset_limit_s;
     let offset = stream::clock_offset(camera, body, limit).ok_or(
-        "the two streams do not overlap for 5 s, or one does not turn: record both while the body turns about two axes",
+        "the two streams overlap for less than 5 s, or one does not rotate: record both while the body rotates about two axes",
     )?;
     if limit.is_some_and(|limit| offset.offset_s.abs() > limit - 0.1) {
         return Err(format!(
@@ -126,7 +126,7 @@ fn solve(
     }
     if offset.correlation < CORRELATED {
         let text = format!(
-            "the angular rates of the two streams hardly agree (correlation {:.2})",
+            "the angular rates of the two streams differ (correlation {:.2})",
             offset.correlation
         );
         let finding = Code::Clock.warning(text);
@@ -140,7 +140,7 @@ fn solve(
     let rotation = start::rotation(camera, body, offset_s)?;
     let state = State::begin(rotation, offset_s, body, &observations, blocks);
     fit::fit(state, body, &observations).ok_or_else(|| {
-        "the motion does not show the camera's rotation: turn the body about two axes".to_owned()
+        "the motion does not show the camera's rotation: rotate the body about two axes".to_owned()
     })
 }
 
@@ -200,7 +200,7 @@ impl HandEye {
         let worst = fit.worst_sd(0);
         if worst > options.rotation_limit_rad {
             self.outcome.refuse(format!(
-                "the rotation is known to ± {}° only: turn the body about two axes, by 60° or more",
+                "the rotation is known to ± {}° only: rotate the body about two axes, by 60° or more",
                 digits::significant(worst.to_degrees(), 2)
             ));
             return;
@@ -223,7 +223,7 @@ impl HandEye {
             let finding = Code::NotObserved.warning(text);
             self.outcome
                 .findings
-                .push(finding.remedy("turn the body about two axes, by 60° or more"));
+                .push(finding.remedy("rotate the body about two axes, by 60° or more"));
         } else {
             self.translation_m = Some(fit.state.translation_m.into());
             self.translation_sd_m = Some([sd[3], sd[4], sd[5]]);

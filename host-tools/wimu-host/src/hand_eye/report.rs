@@ -34,7 +34,7 @@ impl fmt::Display for HandEye {
         if let (Some([rotation, position]), Some(birge)) = (self.noise, self.birge_ratio) {
             writeln!(
                 out,
-                "based on {} poses; noise {}° and {} mm; blocks scatter {} times as white noise would",
+                "based on {} poses; noise {}° and {} mm; errors correlated in time: σ multiplied by {}",
                 self.poses[0],
                 significant(rotation.to_degrees(), 2),
                 significant(1e3 * position, 2),

@@ -44,7 +44,7 @@ pub(super) fn rotation(
         values.sort_by(|a, b| b.total_cmp(a));
         if values[0].is_nan() || values[1] <= SECOND_AXIS * values[0] {
             return Err(
-                "the body turns about one axis only: turn it about a second one, by 60° or more"
+                "the body rotates about one axis only: rotate it about a second one, by 60° or more"
                     .to_owned(),
             );
         }

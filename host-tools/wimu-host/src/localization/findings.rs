@@ -131,7 +131,7 @@ pub(super) fn after(
     }
     if run.contradictions > 0 {
         let text = format!(
-            "later ranges contradict the path by far more than σ at {} times: it is not smoothed across",
+            "the path is inconsistent with later ranges at {} times: points before them are not smoothed with data after",
             run.contradictions
         );
         found.push(Code::Navigation.note(text));
@@ -170,7 +170,7 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Proble
         }
         for (from, to, median) in spans {
             let (how, why) = match median > 0.0 {
-                true => ("longer", "has it moved, or no line of sight?"),
+                true => ("longer", "check its position and its line of sight"),
                 false => ("shorter", "has it moved?"),
             };
             let size = significant(median.abs(), 3);

@@ -212,6 +212,6 @@ fn finding(stored: &SensorCalibration) -> Problem {
         None => "",
     };
     Code::Navigation.note(format!(
-        "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is taken off{known}"
+        "the calibration is applied{field}: a bias of {x:+.4} {y:+.4} {z:+.4} m/s² is subtracted{known}"
     ))
 }

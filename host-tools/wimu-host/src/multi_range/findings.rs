@@ -92,7 +92,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
         (false, true, _) => {
             return Err(Code::DataRefused.error(
                 format!(
-                    "accelerometer {fit_name} is turned in its mount against {}, and the recording does not show how",
+                    "accelerometer {fit_name} is rotated against {}, and the recording does not determine the rotation",
                     fine_name
                 ),
                 "begin with a rest on each of three sides, or record units that are mounted alike",
@@ -104,7 +104,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
         ))),
         (true, _, Some(deg)) if deg > TURNED_DEG => {
             let text = format!(
-                "accelerometer {fit_name} is turned by {deg:.0}° in its mount against {}: corrected",
+                "accelerometer {fit_name} is rotated by {deg:.0}° against {}: corrected",
                 fine_name
             );
             findings.push(Code::Axes.warning(text));

@@ -133,7 +133,7 @@ impl Clock {
         let (wrong, first_ns) = self.wrong;
         if wrong > 0 {
             let text = format!(
-                "{} contradicted by the rows around, the first at {:.2} s",
+                "{} inconsistent with the rows around, the first at {:.2} s",
                 counted(wrong, "time stamp"),
                 first_ns.saturating_sub(self.first_ns) as f64 * 1e-9
             );

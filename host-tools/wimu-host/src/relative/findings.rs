@@ -48,13 +48,13 @@ pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
     if !hinge.is_a_hinge() {
         let percent = 100.0 * hinge.across;
         let evidence = format!(
-            "the joint turns about more than one axis: {percent:.0} % of the rate is across the main one"
+            "the joint rotates about more than one axis: {percent:.0} % of the rate is across the main one"
         );
         let remedy = "the angle is that about the main axis; the quaternion has the whole rotation; a hinge is given by --setup hinge=[X,Y,Z]";
         findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     } else if hinge.worst_sd_rad() > AXIS_RAD {
         let evidence = format!("the hinge axis is known to {axis_deg:.1}° only (1 σ)");
-        let remedy = "turn the joint through its range several times, or give the axis: --setup hinge=[X,Y,Z]";
+        let remedy = "move the joint through its range several times, or give the axis: --setup hinge=[X,Y,Z]";
         findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     }
     if found.joint_nis > CONTRADICTS {
@@ -68,7 +68,7 @@ pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
     if sigma_rad > ANGLE_RAD {
         let evidence =
             format!("the angle is known to {:.1}° only (1 σ, median)", sigma_rad.to_degrees());
-        let remedy = "rest for some seconds and swing the joint in several directions, or use --setup magnetometers=true";
+        let remedy = "rest for some seconds and move the joint in several directions, or use --setup magnetometers=true";
         findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     }
     let lost = found.points.iter().filter(|point| !point.valid).count();
@@ -92,7 +92,7 @@ pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
 /// The heading is not unique.
 pub(super) fn ambiguous() -> Problem {
     let evidence = "two headings of the second unit are equally probable";
-    let remedy = "swing the joint, give the axis with --setup hinge=[X,Y,Z], or use --setup magnetometers=true";
+    let remedy = "move the joint in several directions, give the axis with --setup hinge=[X,Y,Z], or use --setup magnetometers=true";
     Code::NotObserved.warning(evidence).remedy(remedy)
 }
 
@@ -111,7 +111,7 @@ pub(super) fn no_motion(poses: &[Pose]) -> Problem {
             "the joint hardly moves (largest relative rate {:.1} deg/s): its axis is not known",
             largest.to_degrees()
         ),
-        "turn the joint through its range several times, or give the axis: --setup hinge=[X,Y,Z]",
+        "move the joint through its range several times, or give the axis: --setup hinge=[X,Y,Z]",
     )
 }
 

@@ -31,8 +31,9 @@ impl Face {
     pub const ALL: [Self; 6] =
         [Self::XUp, Self::XDown, Self::YUp, Self::YDown, Self::ZUp, Self::ZDown];
 
-    /// Default names of the sides.
-    pub const NAMES: [&'static str; 6] = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"];
+    /// Default names of the sides: those that the axes point out of, and their opposites.
+    pub const SIDES: [&'static str; 6] =
+        ["+X side", "−X side", "+Y side", "−Y side", "+Z side", "−Z side"];
 
     /// cos 20°: largest angle of a vertical axis from the vertical.
     const LEAST_COSINE: f64 = 0.94;
@@ -119,13 +120,12 @@ impl Orientation {
         self.0.iter().filter(|sign| **sign != 0).count()
     }
 
-    /// Instruction in words: "start with Z up, then tilt it 45° towards X up".
+    /// Instruction in words, such as "stand it on the edge between +Y side and −X side".
     pub fn instruction(self) -> Instruction<'static> {
-        self.instruction_with(&Face::NAMES)
+        self.instruction_with(&Face::SIDES)
     }
 
-    /// Instruction with the names of the sides of a board, in the order of [`Face::ALL`], such as
-    /// "left edge up".
+    /// Instruction with the names of the sides of a board that +X, −X, +Y, … point out of, such as "left edge".
     pub fn instruction_with<'a>(self, sides: &'a [&'a str; 6]) -> Instruction<'a> {
         Instruction { orientation: self, sides }
     }
@@ -179,20 +179,20 @@ pub struct Instruction<'a> {
 
 impl fmt::Display for Instruction<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let axes = self.orientation.axes();
-        // The last axis first: most boards lie with Z up.
-        let sides = self.orientation.0.iter().enumerate().rev();
-        let sides = sides.filter_map(|(axis, &sign)| match sign {
+        let (Orientation(signs), count) = (self.orientation, self.orientation.axes());
+        // What is down: the side opposite to each axis with a vertical component.
+        let down = signs.iter().enumerate().filter_map(|(axis, sign)| match sign {
             0 => None,
-            1.. => self.sides.get(2 * axis),
-            _ => self.sides.get(2 * axis + 1),
+            1.. => self.sides.get(2 * axis + 1),
+            _ => self.sides.get(2 * axis),
         });
-        for (step, side) in sides.enumerate() {
-            match step {
-                0 if axes == 1 => write!(out, "hold it with {side}")?,
-                0 => write!(out, "start with {side}")?,
-                1 => write!(out, ", then tilt it 45° towards {side}")?,
-                _ => write!(out, ", then 35° towards {side}")?,
+        for (index, side) in down.enumerate() {
+            match (index, count) {
+                (0, 1) => write!(out, "lay it on its {side} (arrow {})", self.orientation)?,
+                (0, 2) => write!(out, "stand it on the edge between {side}")?,
+                (0, _) => write!(out, "stand it on the corner between {side}")?,
+                (1, 3) => write!(out, ", {side}")?,
+                _ => write!(out, " and {side}")?,
             }
         }
         Ok(())

@@ -93,33 +93,28 @@ fn advice_ends_when_more_poses_change_little_and_leaves_out_what_cannot_be_reach
 }
 
 #[test]
-fn instructions_lead_to_their_orientation() {
+fn instructions_name_the_sides_that_are_down() {
     for orientation in Orientation::ALL {
         let text = orientation.instruction().to_string();
-        let vector = |word: &str| {
-            let axis = ["X", "Y", "Z"].iter().position(|a| word.starts_with(a))?;
-            let mut up = [0.0; 3];
-            up[axis] = if word.ends_with("up") { 1.0 } else { -1.0 };
-            Some(up)
-        };
-        // "start with A, then tilt it 45° towards B, then 35° towards C"
+        // "stand it on the corner between +X side, −Y side and −Z side"
         let mut up = [0.0; 3];
-        for (step, part) in text.split(", then ").enumerate() {
-            let words = part.rsplit("with ").next().expect("words");
-            let words = words.rsplit("towards ").next().expect("words");
-            let towards = vector(words).expect("a side");
-            let angle: f64 = [90.0, 45.0, 35.264_389_682_754_654][step];
-            let (s, c) = angle.to_radians().sin_cos();
-            up = [0, 1, 2].map(|i| c * up[i] + s * towards[i]);
+        for (k, side) in wimu_calib::Face::SIDES.iter().enumerate() {
+            if text.contains(side) {
+                up[k / 2] = [-1.0, 1.0][k % 2];
+            }
         }
-        let apart = norm(cross(unit(up), orientation.up()));
-        assert!(apart < 1e-6, "{text}: {up:?}");
+        assert!(norm(cross(unit(up), orientation.up())) < 1e-6, "{text}: {up:?}");
+        let along: f64 = (0..3).map(|k| up[k] * orientation.up()[k]).sum();
+        assert!(along > 0.0, "{text}: {up:?}");
         assert_eq!(Orientation::ALL[orientation.index()], orientation);
     }
-    let sides = ["left", "right", "front", "back", "lid", "bottom"];
-    let corner = Orientation::ALL[25];
     assert_eq!(
-        corner.instruction_with(&sides).to_string(),
-        "start with lid, then tilt it 45° towards front, then 35° towards left"
+        Orientation::from(wimu_calib::Face::XDown).instruction().to_string(),
+        "lay it on its +X side (arrow X down)"
+    );
+    let sides = ["left", "right", "front", "back", "lid", "bottom"];
+    assert_eq!(
+        Orientation::ALL[25].instruction_with(&sides).to_string(),
+        "stand it on the corner between right, back and bottom"
     );
 }

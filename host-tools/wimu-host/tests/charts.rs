@@ -126,3 +126,16 @@ fn a_long_track_keeps_its_extremes_in_few_points() {
     let at = points.iter().find(|point| point.1 == 99.0).unwrap().0;
     assert!((at - 123.457).abs() < 2.0, "{at}");
 }
+
+#[test]
+fn an_axis_ignores_a_single_outlier_and_keeps_a_step() {
+    let range = |spikes: &[usize]| {
+        let value = |k: usize| if spikes.contains(&k) { 500.0 } else { (k as f64).sin() };
+        let points = (0..1000).map(|k| (k as f64, value(k))).collect();
+        let chart = Chart { series: vec![Series::line("a", points)], ..Chart::default() };
+        chart.json()["rangeY"].as_array().map(|range| range[1].as_f64().unwrap())
+    };
+    assert!(range(&[77]).is_some_and(|most| (0.9..=1.0).contains(&most)));
+    assert_eq!(range(&[]), None);
+    assert_eq!(range(&Vec::from_iter(500..600)), None, "a tenth of the data is no outlier");
+}

@@ -120,11 +120,17 @@ fn fixes_by_another_clock_are_refused_with_both_times() {
 }
 
 #[test]
-fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
+fn a_fix_that_contradicts_the_path_is_reported_drawn_and_not_used() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
-    fixes[20].position_m[0] += 30.0;
-    let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
+    fixes[20].position_m[0] += 9.0;
+    let choice = aided(fixes, 0.0);
+    let path = navigate(&recording, &choice).unwrap();
     assert!(says(&path, "1 of 37 fixes contradict"), "{:?}", path.findings);
+    // The report draws it apart from the others.
+    let page = tempfile::NamedTempFile::new().unwrap();
+    path.page("walk", "text", &choice.fixes).write(page.path()).unwrap();
+    let page = std::fs::read_to_string(page.path()).unwrap();
+    assert!(page.contains("\"fix\"") && page.contains("\"rejected fix\""));
     assert!(!says(&path, "jumps"), "{:?}", path.findings);
     assert!(error_m(&path) < 0.5, "{}", error_m(&path));
 }

@@ -4,7 +4,7 @@ use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::Code;
 use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
-use wimu_host::inertial::{Choice, InertialPath, Method, StartPose, Zupt, navigate};
+use wimu_host::inertial::{Choice, Fixes, InertialPath, Method, StartPose, Zupt, navigate};
 use wimu_host::motion::UnitSample;
 use wimu_host::motion::{MotionRecording, Truth};
 
@@ -323,7 +323,7 @@ fn the_path_is_written_with_the_columns_that_were_promised() {
          Sigma E (m),Sigma N (m),Sigma U (m),Valid"
     );
     assert_eq!(text.lines().count(), 451);
-    path.page("slide", "text").write(&out).unwrap();
+    path.page("slide", "text", &Fixes::default()).write(&out).unwrap();
     assert!(std::fs::read_to_string(&out).unwrap().contains("<svg"));
 }
 

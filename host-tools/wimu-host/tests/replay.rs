@@ -49,6 +49,16 @@ fn any_difference_is_found_and_located() {
     assert_eq!(report.navigation_differ, 1);
     let report = changed(&|boot| samples(boot, Stream::Raw)[sample].value[0] += 1);
     assert!(report.corrected_differ == 1 && report.states_differ > 0, "{report:?}");
+    let report = changed(&|boot| {
+        samples(boot, Stream::Corrected)[sample].rate.as_mut().expect("a rate")[2] += 1;
+    });
+    assert_eq!((report.rates_differ, report.corrected_differ), (1, 0));
+    let report = changed(&|boot| boot.attitude[20].quaternion[0] ^= 1);
+    assert_eq!(report.attitudes_differ, 1);
+    let report = changed(&|boot| {
+        samples(boot, Stream::Raw)[sample].rate.as_mut().expect("a rate")[1] += 1;
+    });
+    assert!(report.rates_differ == 1 && report.states_differ > 0, "{report:?}");
     let mark = epoch(&intact, EpochReason::Periodic);
     let report = changed(&|boot| marks(boot)[mark].epoch.state.rest_mean[0] ^= 1);
     assert_eq!(report.states_differ, 1);

@@ -6,6 +6,7 @@ use wimu_link::hello::sensor;
 use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
 
 use super::parameter_id;
+use super::report::MISALIGNMENTS;
 use crate::plural::counted;
 
 /// A term that changes.
@@ -84,12 +85,13 @@ impl Difference {
 /// The numbers of a parameter set, with their names and units.
 pub fn parameter_figures(set: &ParameterSet) -> Vec<(&'static str, Vec<f64>)> {
     let terms = set.model.terms();
-    let ([x, y, z], thermal) = (terms.matrix, terms.temperature);
+    let (a, thermal) = (terms.matrix, terms.temperature);
+    let scale = [0, 1, 2].map(|axis| a[axis][axis]);
+    let misalignment = MISALIGNMENTS.map(|(_, row, column)| a[row][column] * 1e3);
     vec![
         ("bias, m/s²", terms.bias_mps2.to_vec()),
-        ("matrix, row X", x.to_vec()),
-        ("matrix, row Y", y.to_vec()),
-        ("matrix, row Z", z.to_vec()),
+        ("scale factor", scale.to_vec()),
+        ("misalignment yx zx xy zy xz yz, mrad", misalignment.to_vec()),
         ("bias slope, m/s²/K", thermal.bias_mps2_per_k.to_vec()),
         ("bias curvature, m/s²/K²", thermal.bias_mps2_per_k2.to_vec()),
         ("scale slope, 1/K", thermal.scale_per_k.to_vec()),

@@ -12,12 +12,12 @@ use wimu_model::{
 
 use super::{Calibration, DatasheetReport, GyroscopeReport, MethodChoice, magnitude};
 use crate::Problem;
-use crate::chart::{Chart, Series, Style};
+use crate::chart::{Chart, Series, Style, broken};
 use crate::digits::{signed, signed_with_sd, significant, with_sd};
 use crate::html::Report;
 use crate::plural::counted;
 use crate::problem::{Outcome, Severity};
-use crate::recording::RateSource;
+use crate::recording::{RateSource, Samples};
 
 /// Largest number of poses that a report lists.
 pub(super) const MAX_POSES: usize = 1000;
@@ -28,7 +28,7 @@ const LEAST_SHOWN_MM_S2: f64 = 1e-3;
 /// Names of the axes.
 pub(super) const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// Misalignments by name, row and column of A.
-const MISALIGNMENTS: [(&str, usize, usize); 6] = [
+pub(super) const MISALIGNMENTS: [(&str, usize, usize); 6] = [
     ("m_yx", 0, 1),
     ("m_zx", 0, 2),
     ("m_xy", 1, 0),
@@ -219,6 +219,34 @@ pub(super) fn deviations(sd: impl Fn(usize) -> f64, slopes: [[f64; 3]; 2]) -> Er
 }
 
 impl Fit {
+    /// A row for each parameter that was fitted: its name with its unit, its value ± 1 σ, and the half width of its 95 %
+    /// interval.
+    fn parameters(&self) -> Vec<Vec<String>> {
+        let biases = [0, 1, 2].map(|axis| (format!("bias {}", AXES[axis]), axis, "m/s²"));
+        let scales = [0, 1, 2].map(|k| (format!("scale factor {}", AXES[k]), 3 + 4 * k, ""));
+        let misalignments = MISALIGNMENTS.map(|(name, row, column)| {
+            (format!("misalignment {name}"), 3 + 3 * row + column, "mrad")
+        });
+        let row = |(name, place, unit): (String, usize, &str)| {
+            if !self.fitted.contains(&name) {
+                return None;
+            }
+            let of = |terms: &ErrorTerms| match place {
+                0..3 => terms.bias_mps2[place],
+                _ => terms.matrix[(place - 3) / 3][(place - 3) % 3],
+            };
+            let factor = if unit == "mrad" { 1e3 } else { 1.0 };
+            let (value, sd) = (of(&self.model) * factor, of(&self.sd) * factor);
+            let interval = self.half_width_95[place].map(|half| significant(half * factor, 2));
+            Some(vec![
+                format!("{name}, {unit}").trim_end_matches(", ").to_owned(),
+                signed_with_sd(value, sd),
+                interval.map_or(String::new(), |half| format!("± {half}")),
+            ])
+        };
+        biases.into_iter().chain(scales).chain(misalignments).filter_map(row).collect()
+    }
+
     pub(super) fn new(estimate: &Estimate, grade: Grade) -> Self {
         let (term_sd, covariance) = (&estimate.term_sd, &estimate.covariance);
         let of_sides = match estimate.method {
@@ -469,11 +497,15 @@ impl CalibrationReport {
         }
     }
 
-    /// The report as one HTML page: the result, |f| − g of each pose before and after, the poses on a sphere, their table,
-    /// and the text.
-    pub fn page(&self) -> Report {
+    /// The report as one HTML page: the result, the parameters, the samples with the poses found in them, |f| − g of each
+    /// pose before and after, the poses on a sphere, their table, and the text.
+    pub fn page(&self, samples: &Samples<'_>) -> Report {
         let title = format!("Calibration of {}", self.source);
         let mut page = page(title, &self.outcome, &self.to_string(), 0);
+        if let Some(fit) = &self.fit {
+            let head = ["parameter", "value ± 1 σ", "95 % interval"];
+            page.table("Parameters", &head, &fit.parameters());
+        }
         if self.static_poses.is_empty() {
             return page;
         }
@@ -495,6 +527,9 @@ impl CalibrationReport {
         let rows: Vec<Vec<String>> = self.static_poses.iter().enumerate().map(cells).collect();
         let head =
             ["pose", "mean output, m/s²", "samples", "noise, mm/s²", "°C", "|f| − g, mm/s²", ""];
+        if let Some(signal) = signal(samples, self.unit, &self.static_poses) {
+            page.chart(&signal);
+        }
         page.chart(&self.residuals()).chart(&self.sphere()).table("Static poses", &head, &rows);
         page
     }
@@ -543,6 +578,27 @@ impl CalibrationReport {
             ..Chart::default()
         }
     }
+}
+
+/// The samples over time, with the rests that are poses; `None` for pose means.
+fn signal(samples: &Samples<'_>, unit: &str, poses: &[StaticPose]) -> Option<Chart> {
+    let last = samples.len().checked_sub(1).filter(|_| !samples.are_poses())?;
+    let times_s = Vec::from_iter((0..=last).map(|index| samples.since_start_s(index)));
+    let lines = AXES.into_iter().enumerate().map(|(axis, name)| {
+        let values = samples.values().map(|value| value[axis]);
+        Series::line(name, broken(times_s.iter().copied().zip(values).collect()))
+    });
+    let marked = |pose: &StaticPose| {
+        let first = pose.first_sample as usize;
+        let at = |index: usize| times_s[index.min(last)];
+        (at(first), at(first + pose.samples as usize))
+    };
+    let lines = lines.collect();
+    Some(Chart {
+        marked: poses.iter().map(marked).collect(),
+        note: "Grey: the rests that were used as poses.".to_owned(),
+        ..Chart::new("Output of the accelerometer", "time, s", unit, lines)
+    })
 }
 
 /// Sizes, mm/s², on a logarithmic axis.

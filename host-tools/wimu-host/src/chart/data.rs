@@ -6,6 +6,12 @@ use super::{Band, Chart, Series, Style};
 
 /// Points of a chart that are drawn, at most about: two for each pixel of a broad screen.
 const MOST_POINTS: usize = 8000;
+/// Of this many values, one may be an outlier.
+const OUTLIER_EVERY: usize = 500;
+/// Least number of values of which outliers are told apart.
+const LEAST_VALUES: usize = 50;
+/// Distance of an outlier from all others, in widths of their range.
+const OUTLIER_WIDTHS: f64 = 3.0;
 /// Steps in which the range of a linear axis is written.
 const STEPS: f64 = 1e6;
 
@@ -31,6 +37,31 @@ impl Chart {
             }
         });
         Self { series: series.collect(), bands: bands.collect(), ..self.clone() }
+    }
+
+    /// Range of y: what is given, or where a few values are far outside that of all others, that of the others.
+    pub(super) fn shown_y(&self) -> Option<(f64, f64)> {
+        if self.y_range.is_some() || self.log || self.equal {
+            return self.y_range;
+        }
+        let data = self.series.iter().filter(|series| series.style != Style::Guide);
+        let values = data.flat_map(|series| &series.points).map(|point| point.1);
+        let mut values = Vec::from_iter(values.filter(|value| value.is_finite()));
+        if values.len() < LEAST_VALUES {
+            return None;
+        }
+        values.sort_by(f64::total_cmp);
+        let few = values.len().div_ceil(OUTLIER_EVERY);
+        let (least, most) = (values[0], values[values.len() - 1]);
+        let (low, high) = (values[few], values[values.len() - 1 - few]);
+        let far = OUTLIER_WIDTHS * (high - low);
+        if far == 0.0 || (least >= low - far && most <= high + far) {
+            return None;
+        }
+        // Values that are no outliers stay visible.
+        let within = |value: &&f64| **value >= low - far && **value <= high + far;
+        let inner = || values.iter().filter(within);
+        inner().next().copied().zip(inner().next_back().copied())
     }
 
     /// The chart for the script. What is not finite is null.
@@ -72,7 +103,7 @@ impl Chart {
             "logY": self.log,
             "equal": self.equal,
             "rangeX": self.x_range,
-            "rangeY": self.y_range,
+            "rangeY": self.shown_y(),
             "series": series.collect::<Vec<_>>(),
             "bands": bands.collect::<Vec<_>>(),
             "marked": self.marked,

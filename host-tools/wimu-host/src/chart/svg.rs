@@ -121,7 +121,7 @@ impl Chart {
         let shown = || self.series.iter().filter(|s| no_data || is_data(s));
         let all = || shown().flat_map(|series| &series.points);
         let x = self.x_range.unwrap_or_else(|| span(all().map(|point| point.0)));
-        let y = self.y_range.unwrap_or_else(|| span(all().map(|point| point.1)));
+        let y = self.shown_y().unwrap_or_else(|| span(all().map(|point| point.1)));
         let roomy = |(low, high): (f64, f64), log: bool, part: f64, factor: f64| {
             if log {
                 return low.max(1e-9) / factor..high.max(1e-9) * factor;

@@ -6,7 +6,7 @@ use serde::Serialize;
 use wimu_calib::{Face, Orientation, Parameter, Phase, Pose, Session};
 use wimu_link::Hello;
 use wimu_link::batch::Stream;
-use wimu_link::hello::{Capabilities, board};
+use wimu_link::hello::Capabilities;
 use wimu_link::message::Event as Happened;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -47,8 +47,8 @@ pub struct Plan {
     /// Number of poses.
     pub count: usize,
     options: CalibrateOptions,
-    /// Names of the sides that are up, in the order of [`Face::ALL`].
-    pub names: &'static [&'static str; 6],
+    /// Names of the sides that +X, −X, +Y, … point out of.
+    pub sides: &'static [&'static str; 6],
 }
 
 impl Plan {
@@ -85,8 +85,8 @@ impl Plan {
             }
             (_, count) => count.unwrap_or(POSES),
         };
-        let names = side_names(hello.board.number);
-        Ok(Self { guidance, count, options: options.clone(), names })
+        let sides = sides(&hello.board.name.to_string());
+        Ok(Self { guidance, count, options: options.clone(), sides })
     }
 
     /// The same for the magnetometer of a board.
@@ -144,7 +144,7 @@ impl Plan {
                     }
                 }
             }
-            (_, Some(next)) => next.instruction_with(self.names).to_string(),
+            (_, Some(next)) => next.instruction_with(self.sides).to_string(),
             _ => String::new(),
         }
     }
@@ -154,11 +154,9 @@ impl Plan {
         if self.guidance == Guidance::Sides { CAPACITY } else { self.count }
     }
 
-    /// Name of a side.
-    pub fn name(&self, side: Face) -> &'static str {
-        let all = Face::ALL.iter().zip(self.names);
-        let mut named = all.filter(|(other, _)| **other == side);
-        named.next().map_or("", |(_, name)| name)
+    /// Name of the side that is up.
+    pub fn name(&self, up: Face) -> &'static str {
+        self.sides[up as usize]
     }
 
     /// Standard deviations after these poses: of the fit, or expected where they do not support one.
@@ -187,14 +185,36 @@ impl Plan {
     }
 }
 
-/// Names of the sides that are up, in the order of [`Face::ALL`], as printed on boards whose layout is known.
-fn side_names(board: u16) -> &'static [&'static str; 6] {
-    match board {
-        board::MICROBIT_V2 => {
-            &["logo up", "logo down", "button A up", "button A down", "display up", "display down"]
-        }
-        _ => &Face::NAMES,
-    }
+/// Names of the sides that +X, −X, +Y, … of a board point out of, where its layout is known.
+fn sides(board: &str) -> &'static [&'static str; 6] {
+    /// Part of the name in the Hello, and the sides by the board's page in the documents.
+    const PROFILES: [(&str, [&str; 6]); 2] = [
+        (
+            "micro:bit",
+            [
+                "logo edge",
+                "edge connector",
+                "button A edge",
+                "button B edge",
+                "display side",
+                "back",
+            ],
+        ),
+        // The sensor is on a breakout.
+        (
+            "Pico",
+            [
+                "edge at arrow X",
+                "edge opposite arrow X",
+                "edge at arrow Y",
+                "edge opposite arrow Y",
+                "chip side",
+                "underside",
+            ],
+        ),
+    ];
+    let known = PROFILES.iter().find(|(name, _)| board.contains(name));
+    known.map_or(&Face::SIDES, |(_, sides)| sides)
 }
 
 /// Standard deviations of the parameters.

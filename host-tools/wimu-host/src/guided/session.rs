@@ -57,7 +57,7 @@ pub enum Hold {
 pub struct GuidedView {
     /// The board and its link.
     pub device: String,
-    /// Names of the sides that are up, in the order X up, X down, Y up, ….
+    /// Names of the sides that +X, −X, +Y, … point out of.
     pub sides: [&'static str; 6],
     /// Number of poses.
     pub wanted: usize,
@@ -116,7 +116,7 @@ impl Guided {
         let poses_file = poses_file(file);
         let mut view = GuidedView {
             device: format!("{} with {}, {} link", hello.board.name, hello.sensor.name, hello.role),
-            sides: *plan.names,
+            sides: *plan.sides,
             wanted: plan.count,
             ..GuidedView::default()
         };
@@ -177,7 +177,7 @@ impl Guided {
                 News::Skipped => message = Some("skipped by the board's button".to_owned()),
                 News::Captured(pose) => {
                     captured = true;
-                    let side = Face::of(&pose).map(|side| format!(": {}", live.plan.name(side)));
+                    let side = Face::of(&pose).map(|side| format!(": {} up", live.plan.name(side)));
                     message = Some(format!(
                         "pose {} captured{}",
                         live.poses().len(),
@@ -237,7 +237,7 @@ impl Guided {
         match self.live.undo() {
             true => {
                 self.view.message =
-                    "the latest pose is removed: turn the board, then hold it still".to_owned();
+                    "the latest pose is removed: rotate the board, then hold it still".to_owned();
                 self.save();
                 self.uncertainty();
             }

@@ -54,7 +54,7 @@ class WimuPlot {
     const numbers = (values, log) => Float64Array.from(values, (v) => (v === null || (log && v <= 0) ? NaN : log ? Math.log10(v) : v));
     this.series = chart.series.map((one) => ({
       ...one, guide: one.style === "guide",
-      colour: one.style === "guide" ? "guide" : "c" + (colour++ % 8),
+      colour: one.style === "guide" ? "guide" : "c" + (colour++ % 8), off: this.hidden.has(one.name),
       x: numbers(one.x, chart.logX), y: numbers(one.y, chart.logY), z: numbers(one.z || [], false),
     }));
     this.bands = (chart.bands || []).map((band) => ({
@@ -69,11 +69,15 @@ class WimuPlot {
   }
 
   listSeries() {
-    const names = this.series.map((one) => [one.name, one.style, this.colour(one.colour)]).join();
+    const names = this.series.map((one) => [one.name, one.style, one.off, this.colour(one.colour)]).join();
     if (names === this.listed) return;
     this.listed = names;
     this.legend.replaceChildren(...this.series.filter((one) => one.name).map((one) => {
-      const entry = document.createElement("span"), line = document.createElement("i");
+      const entry = document.createElement("button"), line = document.createElement("i");
+      entry.type = "button";
+      entry.title = "show or hide";
+      entry.setAttribute("aria-pressed", !one.off);
+      entry.onclick = () => { this.hidden.delete(one.name) || this.hidden.add(one.name); this.set(this.chart); };
       line.className = one.style;
       line.style[one.style === "dots" ? "background" : "borderColor"] = this.colour(one.colour);
       entry.append(line, one.name);
@@ -83,7 +87,7 @@ class WimuPlot {
 
   // The range of the data: of both axes, after the logarithm; in space the centre and half the width of a cube.
   extent() {
-    const { chart, series } = this;
+    const { chart } = this, series = this.series.filter((one) => !one.off);
     // In space a guide is an ellipsoid, which is to be seen whole.
     const data = !chart.space && series.some((one) => !one.guide) ? series.filter((one) => !one.guide) : series;
     const span = (key) => {
@@ -115,12 +119,21 @@ class WimuPlot {
     this.look(structuredClone(this.home));
   }
 
+  // Whether another chart is over time too.
+  timed(other) {
+    return other !== this && !other.chart.space && !this.chart.space && other.chart.x === this.chart.x && /^time/.test(this.chart.x);
+  }
+
+  // Shows the same time in all charts over time.
+  cursor(time) {
+    for (const other of WimuPlot.all) if (this.timed(other) && other.time !== time) { other.time = time; other.draw(); }
+  }
+
   // Shows a view, also in the other charts over the same range of time.
   look(view) {
     this.view = view;
-    const same = (other) => !other.chart.space && !this.chart.space && other.chart.x === this.chart.x && /^time/.test(this.chart.x) &&
-      other.home.x.every((v, k) => Math.abs(v - this.home.x[k]) <= 0.05 * (this.home.x[1] - this.home.x[0]));
-    for (const other of WimuPlot.all) if (other !== this && same(other)) {
+    const same = (other) => this.timed(other) && other.home.x.every((v, k) => Math.abs(v - this.home.x[k]) <= 0.05 * (this.home.x[1] - this.home.x[0]));
+    for (const other of WimuPlot.all) if (same(other)) {
       other.view.x = this.zoomed() || other.zoomed() ? [...view.x] : other.view.x;
       if (!this.zoomed()) other.view.x = [...other.home.x];
       other.draw();
@@ -204,6 +217,7 @@ class WimuPlot {
   }
 
   drawBand(g, band) {
+    if (this.series[band.series]?.off) return;
     const known = (k) => isFinite(band.x[k]) && isFinite(band.low[k]) && isFinite(band.high[k]);
     const line = (k, value) => g.lineTo(this.px(band.x[k]), Math.min(Math.max(this.py(value[k]), -9999), 9999));
     g.globalAlpha = 0.2;
@@ -219,6 +233,7 @@ class WimuPlot {
   }
 
   drawSeries(g, one, at, back) {
+    if (one.off) return;
     g.strokeStyle = g.fillStyle = this.colour(one.colour);
     g.lineWidth = one.guide ? 1 : 1.8;
     const dots = one.style === "dots", radius = one.x.length > 200 ? 1.7 : 4.5;
@@ -252,7 +267,7 @@ class WimuPlot {
   }
 
   drawMarker(g) {
-    const near = this.near;
+    const near = this.near || (this.time !== undefined && this.area && { x: this.px(this.time), points: [] });
     if (!near) return;
     g.strokeStyle = this.colour("soft");
     g.lineWidth = 1;
@@ -413,7 +428,7 @@ class WimuPlot {
     if (timed) {
       let first;
       this.series.forEach((one, index) => {
-        if (one.guide) return;
+        if (one.guide || one.off) return;
         const [k, far] = nearest(one, ([a, b]) => (isFinite(b) ? Math.abs(a - x) : NaN));
         if (k < 0 || far > 30) return;
         first ??= one.x[k];
@@ -427,9 +442,10 @@ class WimuPlot {
         lines.unshift([null, named(chart.x, first, chart.logX)]);
         this.near = { x: this.px(first), points };
       }
+      this.cursor(first);
     } else {
       let found = [null, -1, 25];
-      for (const one of this.series) if (!one.guide) {
+      for (const one of this.series) if (!one.guide && !one.off) {
         const [k, far] = nearest(one, ([a, b]) => Math.hypot(a - x, b - y));
         if (far < found[2]) found = [one, k, far];
       }
@@ -463,6 +479,7 @@ class WimuPlot {
   leave() {
     this.near = null;
     this.tip.style.display = "none";
+    this.cursor(undefined);
     this.draw();
   }
 

@@ -57,6 +57,14 @@ const VELOCITY_SD_MPS: f64 = 0.2;
 const HEADING_SD_RAD: f64 = 0.1;
 
 impl Fixes {
+    /// The position that was measured at a time, s; a height that was not measured is 0.
+    pub(super) fn position_at(&self, time_s: f64) -> Option<[f64; 3]> {
+        let from = self.fixes.partition_point(|fix| fix.time_s < time_s);
+        let same = self.fixes[from..].iter().take_while(|fix| fix.time_s <= time_s);
+        let fix = same.clone().find(|fix| fix.range_m.is_none() && fix.is_level())?;
+        Some(fix.position_m.map(|axis| if axis.is_finite() { axis } else { 0.0 }))
+    }
+
     /// Reads a table: `Time (s)`, `Position E (m)`, `Position N (m)`, `Position U (m)` or `Height (m)`, `Velocity E (m/s)`
     /// … `U`, `Heading (deg)`, each with `… Sigma E (m)`, `Height Sigma (m)`, `Heading Sigma (deg)`. Every column but the
     /// time is optional, as are values. A fix was measured `delay_s` before its time.

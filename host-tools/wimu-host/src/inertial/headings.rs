@@ -6,7 +6,7 @@ use wimu_nav::state::{POSITION, VELOCITY};
 use super::fixes::{Aided, Fixes};
 use super::track::{Input, Track};
 use super::unit::{HEADINGS, Unit, sample};
-use super::{Choice, Method, PathPoint, StartPose};
+use super::{Choice, Method, PathPoint, Residual, StartPose};
 use crate::localization::AnchorStates;
 use crate::{Code, Problem, Result};
 
@@ -32,6 +32,7 @@ impl Unit<'_> {
             given: choice.start,
             limit_m: choice.limit_m,
             jumped_s: None,
+            residuals: Vec::new(),
         })
     }
 }
@@ -48,6 +49,8 @@ pub(super) struct Headings {
     placed: bool,
     /// When it was moved to it, s.
     jumped_s: Option<f64>,
+    /// Residuals of the most probable track since they were taken.
+    pub residuals: Vec<Residual>,
 }
 
 impl Headings {
@@ -126,8 +129,10 @@ impl Headings {
             }
             for track in &mut self.tracks {
                 track.step(input, fixes);
-                track.aiding.residuals.clear();
             }
+            let mut residuals = self.tracks.iter_mut().map(|track| &mut track.aiding.residuals);
+            self.residuals.extend(residuals.next().map(std::mem::take).unwrap_or_default());
+            residuals.for_each(Vec::clear);
         }
         if self.tracks.len() > 1 {
             self.prune();

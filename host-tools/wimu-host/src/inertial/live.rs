@@ -1,5 +1,7 @@
 //! Navigation of a stream.
 
+use std::collections::VecDeque;
+
 use wimu_nav::navigator::{Profile, Sample};
 use wimu_nav::stance::AHEAD_S;
 
@@ -19,6 +21,8 @@ const START_S: f64 = 3.0;
 const BLOCK_S: f64 = 0.1;
 /// Samples that are kept before the horizon, s: those that a stance looks back to.
 const KEPT_S: f64 = AHEAD_S + 1.0;
+/// Position fixes that are kept to be shown.
+const KEPT_FIXES: usize = 500;
 /// Fixes that are all later than the newest sample by this time, s, are of another clock: a day.
 const FAR_S: f64 = 86_400.0;
 
@@ -55,6 +59,8 @@ pub struct Live {
     late: [usize; 2],
     not_finite: usize,
     clipped: usize,
+    /// The latest position fixes, m, and whether each was used.
+    fixes: VecDeque<([f64; 3], bool)>,
 }
 
 /// What the first seconds have shown.
@@ -84,6 +90,7 @@ impl Live {
             late: [0; 2],
             not_finite: 0,
             clipped: 0,
+            fixes: VecDeque::new(),
         }
     }
 
@@ -140,6 +147,11 @@ impl Live {
         path.findings = self.findings();
         path.aided = self.aided();
         path
+    }
+
+    /// The latest position fixes, m, and whether each was used.
+    pub fn fixes(&self) -> impl Iterator<Item = &([f64; 3], bool)> {
+        self.fixes.iter()
     }
 
     /// What happened to the fixes and to the ranges up to now.
@@ -254,6 +266,14 @@ impl Live {
         let block = &inputs[self.taken..end];
         self.clipped += block.iter().filter(|input| input.clipped).count();
         begun.path.advance(block, &self.choice.fixes);
+        for residual in begun.path.residuals.drain(..) {
+            let fix = self.choice.fixes.position_at(residual.time_s);
+            if let Some(fix) = fix.filter(|_| residual.aid == "position") {
+                self.fixes.push_back((fix, residual.accepted));
+            }
+        }
+        let old = self.fixes.len().saturating_sub(KEPT_FIXES);
+        self.fixes.drain(..old);
         self.begun = Some(begun);
         let old = times_s.partition_point(|t| *t < until_s - KEPT_S).min(end);
         self.recording.times_s.drain(..old);

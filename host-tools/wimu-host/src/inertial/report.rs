@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::{InertialPath, PathPoint};
+use super::{Fixes, InertialPath, PathPoint};
 use crate::chart::{Band, Chart, Series, Style};
 use crate::digits::significant;
 use crate::html::Report;
@@ -11,15 +11,19 @@ use crate::html::Report;
 const LEAST_M: f64 = 1e-4;
 /// Ellipses in a plan.
 const ELLIPSES: usize = 12;
+/// Least distance from the path up to which fixes are drawn, m: the range of a path is used where it is larger.
+const NEAR_M: f64 = 10.0;
+/// Name of the rejected fixes.
+const REJECTED: &str = "rejected fix";
 /// Corners of an ellipse.
 const CORNERS: u32 = 40;
 
 impl InertialPath {
-    /// A page with the result of the path, its charts and `text`, that of the command.
+    /// A page with the result of the path, its charts with the fixes, and `text`, that of the command.
     ///
     /// # Errors
     /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Report {
+    pub fn page(&self, source: &str, text: &str, fixes: &Fixes) -> Report {
         let mut page = self.head(source, text);
         let anchors = self.ranging.iter().flat_map(|ranging| &ranging.anchors);
         let positions: Vec<_> = anchors.clone().map(|anchor| anchor.position_m).collect();
@@ -27,13 +31,33 @@ impl InertialPath {
             labels: anchors.map(|anchor| anchor.id.clone()).collect(),
             ..Series::space("anchor", Style::Dots, &positions)
         };
-        let more = if positions.is_empty() { Vec::new() } else { vec![anchors] };
+        let mut more = vec![anchors, self.fixes(fixes, true), self.fixes(fixes, false)];
+        more.retain(|series| !series.points.is_empty());
         let mut charts = self.charts(&more);
         charts.extend(self.innovations());
         for chart in charts {
             page.chart(&chart);
         }
         page
+    }
+
+    /// The position fixes that were used, or those that were rejected, near the path.
+    fn fixes(&self, fixes: &Fixes, accepted: bool) -> Series {
+        let own = self.residuals.iter();
+        let own = own.filter(|r| r.aid == "position" && r.accepted == accepted);
+        let ranges = [0, 1].map(|axis| self.range_of(&[&|p| (p.position_m[axis], 0.0)]));
+        let is_near = |position: &[f64; 3]| {
+            ranges.iter().zip(position).all(|(range, at)| {
+                let Some((low, high)) = *range else { return true };
+                let around = (high - low).max(NEAR_M);
+                (low - around..=high + around).contains(at)
+            })
+        };
+        let (times_s, positions): (_, Vec<_>) = own
+            .filter_map(|r| Some((r.time_s, fixes.position_at(r.time_s).filter(&is_near)?)))
+            .unzip();
+        let name = if accepted { "fix" } else { REJECTED };
+        Series { times_s, ..Series::space(name, Style::Dots, &positions) }
     }
 
     /// The residuals of each aid over time.
@@ -231,7 +255,9 @@ impl InertialPath {
         series.push(Series::guide("1 σ", self.ellipses()));
         let range = |axis: usize, of: fn(&(f64, f64)) -> f64| {
             let own = self.range_of(&[&|p| (p.position_m[axis], p.sigma_m()[axis])]);
-            let others = more.iter().flat_map(|series| &series.points).map(of);
+            // Rejected fixes may be anywhere and must not hide the rest.
+            let others = more.iter().filter(|series| series.name != REJECTED);
+            let others = others.flat_map(|series| &series.points).map(of);
             own.map(|own| others.fold(own, |(low, high), v| (low.min(v), high.max(v))))
         };
         Chart {

@@ -349,6 +349,11 @@ impl<'a> Samples<'a> {
         }
     }
 
+    /// Whether each is the mean of a static pose.
+    pub fn are_poses(&self) -> bool {
+        self.poses
+    }
+
     /// Whether the samples have times.
     pub fn is_timed(&self) -> bool {
         !self.force.info.timeless

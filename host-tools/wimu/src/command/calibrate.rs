@@ -19,15 +19,11 @@ use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::Sensitivity;
 
 use crate::arguments::{Calibrate, Method, Setup};
-use crate::command::{Connection, connect_for, not_over_input};
+use crate::command::{Connection, connect_for};
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
-    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
-    for file in &arguments.more {
-        not_over_input(file, arguments.output.as_deref())?;
-    }
     let setup = Setup::read(&arguments.setup)?;
     if let Some(key) = setup.given.iter().find(|key| *key != "geometry") {
         let message = format!("--setup: {key} has no use in a calibration");
@@ -145,9 +141,12 @@ fn with_gravity(arguments: &Calibrate, output: &Output) -> Result<u8> {
         Input::File(path) | Input::Recording(path) => formats::load(&path, &load)?,
         Input::Link(_) => return guide::run(arguments, &options, output),
     };
-    let report = calibration::calibrate(&data.samples(selection)?, &options)?;
+    let samples = data.samples(selection)?;
+    let report = calibration::calibrate(&samples, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page(&samples))
+    })
 }
 
 /// Calibrates with several sessions of one sensor.

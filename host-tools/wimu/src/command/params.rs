@@ -122,15 +122,13 @@ fn show(
     match &parameters {
         None => output.print("the device is uncalibrated"),
         Some(set) => {
-            let terms = set.model.terms();
             output.print(format!(
-                "parameters {id} for ±{} g, {:.2} LSB/g\nbias   {} m/s²",
+                "parameters {id} for ±{} g, {:.2} LSB/g",
                 set.range_g,
-                set.sensitivity.lsb_per_g(),
-                calibration::values_text(&terms.bias_mps2)
+                set.sensitivity.lsb_per_g()
             ));
-            for (name, row) in ["matrix", "", ""].iter().zip(terms.matrix) {
-                output.print(format!("{name:6} {}", calibration::values_text(&row)));
+            for (name, values) in calibration::parameter_figures(set).iter().take(3) {
+                output.print(format!("{name}: {}", calibration::values_text(values)));
             }
             for line in calibration::describe(set) {
                 output.print(line);

@@ -9,6 +9,7 @@ use wimu_host::Result;
 use wimu_host::calibration::CalibrateOptions;
 use wimu_host::digits::significant;
 use wimu_host::guided::{DEFAULT_FILE, Guided, GuidedView, Hold, Plan, Uncertainty};
+use wimu_host::recording::Selection;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::arguments::{Calibrate, Method};
@@ -48,19 +49,17 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -
         let file = report.file.clone();
         let path = arguments.output.as_deref();
         let code = super::finish(report, &report.outcome, path, file, output, || {
-            super::write_page(arguments, || report.page())
+            let data = guided.recording()?;
+            let samples = data.samples(Selection::default())?;
+            super::write_page(arguments, || report.page(&samples))
         })?;
-        let wants_push = match arguments.push {
-            true => code == 0,
-            false => match question(&lines, code == 0, output)? {
-                Answer::Push => true,
-                Answer::More => {
-                    guided.more();
-                    continue;
-                }
-                Answer::Quit => false,
-            },
-        };
+        let answer =
+            if arguments.push { Answer::Push } else { question(&lines, code == 0, output)? };
+        if answer == Answer::More {
+            guided.more();
+            continue;
+        }
+        let wants_push = code == 0 && answer == Answer::Push;
         if let (true, Some(set)) = (wants_push, &report.parameters) {
             params::push(&mut client, set, output)?;
         }
@@ -155,6 +154,7 @@ fn key(guided: &mut Guided, line: &str) -> Option<End> {
     None
 }
 
+#[derive(PartialEq, Eq)]
 enum Answer {
     Push,
     More,
@@ -222,7 +222,7 @@ fn tilt(view: &GuidedView) -> String {
     let missing = [0, 1, 2].map(|k| next[k] - along * up[k]);
     let axis = (0..3).max_by(|a, b| missing[*a].abs().total_cmp(&missing[*b].abs())).unwrap_or(0);
     let side = view.sides[2 * axis + usize::from(missing[axis] < 0.0)];
-    format!("{shown} {angle:.0}° from it: tilt it towards {side}")
+    format!("{shown} {angle:.0}° from it: raise its {side}")
 }
 
 fn hold(hold: Hold) -> String {
@@ -233,7 +233,7 @@ fn hold(hold: Hold) -> String {
             let left = (whole - so_far).max(0.0);
             format!("{} still: {left:.1} s more", bar(so_far / whole))
         }
-        Hold::Captured => format!("{} captured: turn it to the next orientation", bar(1.0)),
+        Hold::Captured => format!("{} captured: rotate it to the next orientation", bar(1.0)),
     }
 }
 

@@ -197,10 +197,9 @@ pub struct Demo {
     /// Write the pictures to this folder, as SVG
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
-    /// Localize simulated walks instead: ranges to anchors, a unit on a shoe, position fixes; and write their files to this
-    /// folder
-    #[arg(long, value_name = "FOLDER", num_args = 0..=1, conflicts_with = "chip")]
-    pub localize: Option<Option<PathBuf>>,
+    /// Write files of simulated walks to this folder instead: ranges to anchors, a unit on a shoe, position fixes
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["chip", "report", "pictures"])]
+    pub localize: Option<PathBuf>,
 }
 
 #[derive(Args)]

@@ -374,6 +374,7 @@ fn bad_requests_and_files_get_a_reason() {
     for message in [
         json!({"do": "open", "file": "../secret.csv"}),
         json!({"do": "open", "file": "/etc/passwd"}),
+        json!({"do": "upload", "file": "../x.csv", "at": 0, "data": "", "last": true}),
         json!({"do": "play", "file": "cut.mcap"}),
         json!({"do": "play", "file": "no.mcap"}),
         json!({"do": "connect", "link": "ftp://x"}),

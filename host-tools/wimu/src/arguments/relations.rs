@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory};
 use wimu_host::{Input, Result};
 
-use super::{Arguments, Command, Method};
+use super::{Arguments, Command, Method, Setup};
 use crate::output::usage;
 
 /// Which options of a command go with which value of another option. Options without a row go with all of them.
@@ -127,7 +127,12 @@ const NEED: [(&str, &[&str]); 9] = [
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.
 const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
 
-/// Refuses options that the command would ignore.
+/// Arguments that name files to read.
+const INPUT_FILES: [&str; 10] = [
+    "input", "more", "boards", "other", "fixes", "ranges", "odometry", "camera", "noise", "replay",
+];
+
+/// Refuses options that the command would ignore, and an output file that is an input.
 ///
 /// # Errors
 /// `usage`, with the option, what it needs and what was given.
@@ -146,6 +151,7 @@ pub fn check(matches: &ArgMatches, parsed: &Command) -> Result<()> {
         })
         .filter_map(|option| option.get_long())
         .collect();
+    not_over_input(name, matches, parsed)?;
     if let Command::Navigate(navigate) = parsed {
         given.extend(navigate.aids.setup.given.iter().map(String::as_str));
         of_navigation(&given, !navigate.boards.is_empty())?;
@@ -166,13 +172,43 @@ pub fn check(matches: &ArgMatches, parsed: &Command) -> Result<()> {
     Ok(())
 }
 
+/// Refuses an output file that is an input.
+fn not_over_input(name: &str, matches: &ArgMatches, parsed: &Command) -> Result<()> {
+    let files = |ids: &[&str]| -> Vec<PathBuf> {
+        let raw = ids.iter().filter_map(|id| matches.try_get_raw(id).ok()?);
+        raw.flatten().map(PathBuf::from).collect()
+    };
+    let (mut inputs, mut outputs) = (files(&INPUT_FILES), files(&["output", "report"]));
+    // `calibrate` and `align` may replace the calibration that they update.
+    if !matches!(name, "calibrate" | "align") {
+        inputs.extend(files(&["with"]));
+    }
+    if let Command::Navigate(navigate) = parsed {
+        let setup = &navigate.aids.setup;
+        inputs.extend([&setup.anchors, &setup.geometry].into_iter().flatten().cloned());
+        outputs.extend(setup.refine.clone());
+    }
+    if let Command::Calibrate(calibrate) = parsed {
+        inputs.extend(Setup::read(&calibrate.setup).ok().and_then(|setup| setup.geometry));
+    }
+    let real = |path: &PathBuf| path.canonicalize().ok();
+    let outputs: Vec<PathBuf> = outputs.iter().filter_map(real).collect();
+    match inputs.iter().find(|input| real(input).is_some_and(|input| outputs.contains(&input))) {
+        None => Ok(()),
+        Some(input) => {
+            let message = "the output file is the input file and would overwrite it";
+            Err(usage(message, "name another output file").at(input.display().to_string()))
+        }
+    }
+}
+
 /// An option or a key of the setup, as it is given.
 fn written(name: &str) -> String {
     let is_key = NEED.iter().any(|(key, _)| *key == name) && name != "ranges";
-    match is_key || ["geometry", "anchors", "full_scales_g"].contains(&name) {
-        true => format!("{name} in the setup"),
-        false => format!("--{name}"),
+    if is_key || ["geometry", "anchors", "full_scales_g"].contains(&name) {
+        return format!("{name} in the setup");
     }
+    format!("--{name}")
 }
 
 fn of_navigation(given: &[&str], has_boards: bool) -> Result<()> {

@@ -102,10 +102,10 @@ impl Setup {
             return Err(refused("fix_delay_s is not from -2 to 2"));
         }
         let vectors = [self.lever_arm_m, self.range_errors, self.hinge];
-        match vectors.iter().flatten().flatten().all(|value| value.is_finite()) {
-            true => Ok(()),
-            false => Err(refused("it has a number that is not finite")),
+        if vectors.iter().flatten().flatten().all(|value| value.is_finite()) {
+            return Ok(());
         }
+        Err(refused("it has a number that is not finite"))
     }
 }
 

@@ -2,8 +2,6 @@
 
 mod camera;
 
-use std::path::Path;
-
 use wimu_host::Result;
 use wimu_host::alignment::{self, AlignOptions};
 use wimu_host::calibration::Calibration;
@@ -13,7 +11,7 @@ use wimu_host::recording::{Recording, Selection};
 
 use crate::arguments::Align;
 use crate::command::calibrate::{finish, read_calibrated};
-use crate::command::{Connection, listen_until, not_over_input, params};
+use crate::command::{Connection, listen_until, params};
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
@@ -41,7 +39,6 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
             "such as --up z,x --rests 0,2: the first rest is 0",
         ));
     }
-    not_over_input(Path::new(&arguments.input), arguments.output.as_deref())?;
     let (data, calibration, mut client) = read_calibrated(
         &arguments.input,
         &arguments.reading.options(false),

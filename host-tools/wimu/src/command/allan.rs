@@ -7,12 +7,11 @@ use wimu_host::html::ToDocument;
 use wimu_host::{Input, Result};
 
 use crate::arguments::Allan;
-use crate::command::{connect, listen_until, not_over_input};
+use crate::command::{connect, listen_until};
 use crate::output::Output;
 
 /// Returns the exit code: 0, or 3 if the data do not support an answer.
 pub fn run(arguments: &Allan, output: &Output) -> Result<u8> {
-    not_over_input(arguments.input.as_ref(), arguments.report.as_deref())?;
     let report = match Input::parse(&arguments.input)? {
         Input::File(path) | Input::Recording(path) => {
             let options = arguments.reading.options(false);

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde::Serialize;
+use serde_json::json;
 use wimu_host::apply::CorrectedRecording;
 use wimu_host::calibration::{
     Calibration, CalibrationExport, ExportTarget, KalibrNoise, compiled_for,
@@ -19,7 +20,6 @@ use wimu_host::{Code, Input, OutputFile, Problem, Result};
 use wimu_model::CompiledSet;
 
 use crate::arguments::{Convert, Target};
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 #[derive(Serialize)]
@@ -42,34 +42,7 @@ struct ExportedTopics {
     decoded: Decoded,
 }
 
-/// A recording of any format.
-#[derive(Serialize)]
-struct Converted {
-    file: String,
-    format: &'static str,
-    rows: usize,
-}
-
-/// A calibration for other programs.
-#[derive(Serialize)]
-struct ExportedCalibration {
-    /// The file written; null if the output is `text`.
-    file: Option<String>,
-    text: Option<String>,
-}
-
-/// A calibration for a device.
-#[derive(Serialize)]
-struct CompiledCalibration {
-    file: String,
-    bytes: usize,
-    parameter_id: String,
-}
-
 pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
-    for input in arguments.with.iter().chain([&arguments.input]) {
-        not_over_input(input, arguments.output.as_deref())?;
-    }
     if let Some(program) = arguments.to.and_then(Target::program) {
         return calibration(arguments, program, output);
     }
@@ -120,7 +93,7 @@ fn corrected(arguments: &Convert, file: &Path, to: &Path, output: &Output) -> Re
     let file = to.display().to_string();
     output.print(format!("{file}: {rows} corrected samples"));
     output.findings(&[&corrected.findings[..], &recording.findings].concat());
-    output.object(&Converted { file, format: recording.format, rows });
+    output.object(&json!({"file": file, "format": recording.format, "rows": rows}));
     Ok(())
 }
 
@@ -208,7 +181,7 @@ fn compiled(arguments: &Convert, to: &Path, output: &Output) -> Result<()> {
     }
     output.findings(&findings);
     let parameter_id = compiled.source().to_string();
-    output.object(&CompiledCalibration { file, bytes, parameter_id });
+    output.object(&json!({"file": file, "bytes": bytes, "parameter_id": parameter_id}));
     Ok(())
 }
 
@@ -241,6 +214,7 @@ fn calibration(arguments: &Convert, program: ExportTarget, output: &Output) -> R
     } else {
         output.findings(&findings);
     }
-    output.object(&ExportedCalibration { text: file.is_none().then_some(text), file });
+    // Either the file that was written, or the text.
+    output.object(&json!({"text": file.is_none().then_some(text), "file": file}));
     Ok(())
 }

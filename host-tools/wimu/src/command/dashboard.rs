@@ -11,7 +11,7 @@ mod samples;
 mod server;
 
 use std::collections::BTreeSet;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex};
@@ -26,9 +26,9 @@ use wimu_host::transport;
 use wimu_host::{Code, Input, LinkUrl, Problem, Result, client};
 
 use self::access::{Access, Token};
-use self::actions::{Action, File, Job};
+use self::actions::{Action, Job};
 use self::board::Board;
-use self::folder::Folder;
+use self::folder::{Folder, Piece};
 use self::hub::{Asker, Hub, Page};
 use self::replay::Player;
 use crate::arguments::Dashboard;
@@ -83,11 +83,10 @@ pub fn run(arguments: &Dashboard, output: &Output) -> Result<()> {
         }
     }
     let url = url(server.address(), desk.token.text());
-    let readers = match address.ip().is_loopback() {
-        true => "The page is for this computer only; what follows # allows writes.",
-        false => {
-            "Other computers reach it at this computer's address; what follows # allows them to read and write, in plaintext."
-        }
+    let readers = if address.ip().is_loopback() {
+        "The page is for this computer only; what follows # allows writes."
+    } else {
+        "Other computers reach it at this computer's address; what follows # allows them to read and write, in plaintext."
     };
     output.print(format!("open {url}\n{readers} Ctrl-C ends it."));
     output.object(&json!({ "url": url }));
@@ -111,8 +110,8 @@ pub fn run(arguments: &Dashboard, output: &Output) -> Result<()> {
 /// The page's address. Of all interfaces, this computer's own is named.
 fn url(address: SocketAddr, token: &str) -> String {
     let host = match address.ip() {
-        ip if !ip.is_unspecified() => SocketAddr::from((ip, address.port())),
-        IpAddr::V4(_) | IpAddr::V6(_) => SocketAddr::from((Ipv4Addr::LOCALHOST, address.port())),
+        ip if ip.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, address.port())),
+        _ => address,
     };
     format!("http://{host}/#{token}")
 }
@@ -151,18 +150,23 @@ struct Message {
 enum General {
     /// The first message of a page.
     Hello,
-    Connect(Link),
+    Connect {
+        link: String,
+    },
     /// Give up a link that does not answer.
-    Forget(Link),
+    Forget {
+        link: String,
+    },
     Ports,
     /// Show what a file holds.
-    Open(File),
-    Play(File),
-}
-
-#[derive(Deserialize)]
-struct Link {
-    link: String,
+    Open {
+        file: String,
+    },
+    Play {
+        file: String,
+    },
+    /// A piece of a file that was dropped on the page.
+    Upload(Piece),
 }
 
 /// A board, as the desk knows it.
@@ -282,16 +286,16 @@ impl Desk {
     fn has_room(&self) -> Result<()> {
         let boards = lock(&self.boards);
         let running = boards.iter().filter(|seat| seat.is_running()).count();
-        match running + lock(&self.waiting).len() < MOST_BOARDS {
-            true => Ok(()),
-            false => Err(usage("there are too many boards", "close one of them")),
+        if running + lock(&self.waiting).len() < MOST_BOARDS {
+            return Ok(());
         }
+        Err(usage("there are too many boards", "close one of them"))
     }
 
     fn general(self: &Arc<Self>, what: General) -> Result<serde_json::Value> {
         match what {
             General::Hello => {}
-            General::Connect(Link { link }) => {
+            General::Connect { link } => {
                 let Input::Link(url) = Input::parse(&link)? else {
                     let remedy = "give tcp://HOST:PORT, a serial port or auto";
                     return Err(usage("this is no LINK", remedy));
@@ -299,17 +303,23 @@ impl Desk {
                 self.has_room()?;
                 self.connect(url);
             }
-            General::Forget(Link { link }) => {
+            General::Forget { link } => {
                 lock(&self.waiting).remove(&link);
             }
             General::Ports => {
                 let ports = transport::ports()?;
                 return Ok(json!(ports.iter().map(|port| &port.path).collect::<Vec<_>>()));
             }
-            General::Open(File { file }) => self.open(&file, &self.folder.file(&file)?),
-            General::Play(File { file }) => {
+            General::Open { file } => self.open(&file, &self.folder.file(&file)?),
+            General::Play { file } => {
                 self.has_room()?;
                 self.play(&file, &self.folder.file(&file)?)?;
+            }
+            General::Upload(piece) => {
+                if let Some(name) = self.folder.receive(&piece)? {
+                    self.hub.publish("files", &self.folder.list());
+                    self.open(name, &self.folder.file(name)?);
+                }
             }
         }
         Ok(serde_json::Value::Null)

@@ -1,11 +1,10 @@
 //! `wimu demo`: record, calibrate and navigate with a simulated board.
 
-mod localize;
 mod walks;
 
 use std::time::Instant;
 
-use serde::Serialize;
+use serde_json::json;
 use wimu_host::chart::{self, Chart, Series};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::digits::significant;
@@ -22,27 +21,9 @@ use crate::output::Output;
 /// The wireless link: a serial Bluetooth adapter that loses some of its bytes.
 const WIRELESS: &str = "bluetooth,loss=0.3%,bits=1e-5";
 
-#[derive(Serialize)]
-struct Demonstrated {
-    seed: u64,
-    tilts_before_mm_s2: f64,
-    tilts_after_mm_s2: f64,
-    slide_uncalibrated_m: f64,
-    slide_calibrated_m: f64,
-    slide_zupt_m: f64,
-    /// Attitude errors at the same times: uncalibrated, calibrated, with ZUPT.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    attitude_deg: Option<[f64; 3]>,
-    samples_replayed: u64,
-    replay_exact: bool,
-    parameter_id: String,
-    report: String,
-    recording: String,
-}
-
 pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     if let Some(folder) = &arguments.localize {
-        return localize::run(arguments, folder.as_deref(), output);
+        return walks::run(arguments.seed, folder, output);
     }
     let began = Instant::now();
     let sensor = arguments.chip.into();
@@ -93,21 +74,22 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     ));
     let [before, after] = outcome.tilts_rms_mps2();
     let exact = outcome.replays.iter().all(|replay| replay.is_exact());
-    let demonstrated = Demonstrated {
-        seed: arguments.seed,
-        tilts_before_mm_s2: before * 1e3,
-        tilts_after_mm_s2: after * 1e3,
-        slide_uncalibrated_m: outcome.slide.uncalibrated_m,
-        slide_calibrated_m: outcome.slide.calibrated_m,
-        slide_zupt_m: outcome.slide.zupt_m,
-        attitude_deg: outcome.attitude_deg,
-        samples_replayed: outcome.replays.iter().map(|r| r.corrected_compared).sum(),
-        replay_exact: exact,
-        parameter_id: outcome.after_restart.to_string(),
-        report: arguments.report.display().to_string(),
-        recording: recording.display().to_string(),
-    };
-    output.object(&demonstrated);
+    let replayed: u64 = outcome.replays.iter().map(|replay| replay.corrected_compared).sum();
+    // Of `attitude_deg` and the slides the first is uncalibrated, the last with zero-velocity updates.
+    output.object(&json!({
+        "seed": arguments.seed,
+        "tilts_before_mm_s2": before * 1e3,
+        "tilts_after_mm_s2": after * 1e3,
+        "slide_uncalibrated_m": outcome.slide.uncalibrated_m,
+        "slide_calibrated_m": outcome.slide.calibrated_m,
+        "slide_zupt_m": outcome.slide.zupt_m,
+        "attitude_deg": outcome.attitude_deg,
+        "samples_replayed": replayed,
+        "replay_exact": exact,
+        "parameter_id": outcome.after_restart.to_string(),
+        "report": arguments.report.display().to_string(),
+        "recording": recording.display().to_string(),
+    }));
     let locked = outcome.refusals.iter().all(Option::is_some);
     if exact && locked && outcome.pushed == outcome.after_restart {
         Ok(())
@@ -301,6 +283,7 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
 
 fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Report {
     let mut report = Report::new("wimu demo");
+    let exact = outcome.replays.iter().all(|replay| replay.is_exact());
     let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
     let slide =
         [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));
@@ -310,10 +293,7 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Repo
         .key("position error after 3 s", &format!("{} → {} m", slide[0], slide[1]))
         .key(
             "samples replayed on the host",
-            match outcome.replays.iter().all(|replay| replay.is_exact()) {
-                true => "bit for bit equal",
-                false => "different",
-            },
+            if exact { "bit for bit equal" } else { "different" },
         );
     report.printed(&story.join("\n"));
     for (_, chart) in charts {

@@ -134,10 +134,7 @@ fn push(fleet: &Address, folder: &Path, until: u8, force: bool, output: &Output)
         output.print(format!("stage {stage}: {count} of {}", counted(targets, "board")));
         for target in &plan.targets[done..count] {
             let pushed = rollout::push(fleet, target, force)?;
-            let did = match pushed {
-                true => "pushed, confirmed",
-                false => "held already",
-            };
+            let did = if pushed { "pushed, confirmed" } else { "held already" };
             let id = parameter_id(&target.set);
             output.print(format!("{}: {id} {did}", target.board));
             written += usize::from(pushed);

@@ -1,6 +1,6 @@
 //! `wimu device key`.
 
-use serde::Serialize;
+use serde_json::json;
 use wimu_host::keys::{self, KeyFolder};
 use wimu_host::{Code, Result};
 use wimu_link::auth::DeviceKey;
@@ -9,19 +9,6 @@ use wimu_link::hello::{LinkRole, WriteAccess};
 use crate::arguments::{Key, KeyAction};
 use crate::command::{Connection, connect};
 use crate::output::Output;
-
-/// State of a device's key; never the key itself.
-#[derive(Serialize)]
-struct Status {
-    device_id: String,
-    set: bool,
-    /// Identifier of the key.
-    key_id: Option<String>,
-    /// Whether this computer has the same key.
-    ours: bool,
-    /// Whether the device has proved to have it; null if this computer has no key of the device.
-    authenticated: Option<bool>,
-}
 
 pub fn run(arguments: &Key, output: &Output) -> Result<()> {
     let link = &arguments.link;
@@ -155,13 +142,13 @@ fn show(client: &mut Connection, folder: &KeyFolder, output: &Output) -> Result<
         hello.role,
         access_text(&hello.access.to_string())
     ));
-    let status = Status {
-        device_id: format!("{:016x}", hello.device_id),
-        set: held.is_some(),
-        key_id: held.map(|id| id.to_string()),
-        ours,
-        authenticated,
-    };
-    output.object(&status);
+    // The state of the key, never the key itself; `authenticated` is null if this computer has no key of the device.
+    output.object(&json!({
+        "device_id": format!("{:016x}", hello.device_id),
+        "set": held.is_some(),
+        "key_id": held.map(|id| id.to_string()),
+        "ours": ours,
+        "authenticated": authenticated,
+    }));
     Ok(())
 }

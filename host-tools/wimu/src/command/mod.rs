@@ -23,7 +23,6 @@ pub mod report_bug;
 pub mod settings;
 pub mod simulate;
 
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -34,7 +33,7 @@ use wimu_host::keys::KeyFolder;
 use wimu_host::transport::Transport;
 use wimu_host::{Code, LinkUrl, Result};
 
-use crate::output::{Output, usage};
+use crate::output::Output;
 use crate::progress;
 
 /// A connection to a board over a real link.
@@ -73,24 +72,6 @@ fn connect_to_read(link: &str, output: &Output) -> Result<(Connection, Option<bo
             Ok((client, Some(false)))
         }
     }
-}
-
-/// Refuses an output file that is the input.
-fn not_over_input(input: &Path, output: Option<&Path>) -> Result<()> {
-    let same = output.is_some_and(|output| {
-        match (std::fs::canonicalize(input), std::fs::canonicalize(output)) {
-            (Ok(input), Ok(output)) => input == output,
-            _ => false,
-        }
-    });
-    if same {
-        let error = usage(
-            "the output file is the input file and would overwrite it",
-            "name another output file",
-        );
-        return Err(error.at(input.display().to_string()));
-    }
-    Ok(())
 }
 
 /// The flag that Ctrl-C and SIGTERM set.

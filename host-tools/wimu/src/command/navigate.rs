@@ -21,7 +21,6 @@ use wimu_integrator::Phase;
 use wimu_model::ParameterSet;
 
 use crate::arguments::{MotionProfile, Navigate, SETUP_EXAMPLE, ZeroVelocity};
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 #[derive(Serialize)]
@@ -121,13 +120,6 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
         && let Ok(Input::Link(link)) = Input::parse(&input)
     {
         return live::run(arguments, &link.to_string(), output);
-    }
-    for file in [&arguments.report, &arguments.output] {
-        for read in
-            [Some(&arguments.input), arguments.aids.fixes.as_ref(), arguments.odometry.as_ref()]
-        {
-            read.map_or(Ok(()), |read| not_over_input(read, file.as_deref()))?;
-        }
     }
     if arguments.relative {
         return relative::run(arguments, output);

@@ -1,9 +1,11 @@
 //! `wimu simulate`.
 
 use std::path::Path;
+use std::rc::Rc;
 use std::sync::atomic::Ordering;
 
 use serde::Serialize;
+use serde_json::json;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::recording::Selection;
 use wimu_host::{Code, Problem, Result};
@@ -11,7 +13,7 @@ use wimu_link::LinkRole;
 use wimu_model::Counts;
 use wimu_sim::board::{Board, BoardConfig, SensorPart};
 use wimu_sim::faults::{FaultCounts, LinkFaults, PRESETS, SensorFault};
-use wimu_sim::motion;
+use wimu_sim::motion::{self, Motion};
 use wimu_sim::pipe::LinkConfig;
 use wimu_sim::scene::{Scene, World};
 use wimu_sim::server::Server;
@@ -30,22 +32,7 @@ const SECOND_SEED: u64 = 0x5EC0;
 /// Device time in which the board erases a lost key, µs: above the longest pause of its store.
 const ERASE_US: u64 = 1_000_000;
 
-#[derive(Serialize)]
-struct Listening {
-    cable: String,
-    wireless: String,
-}
-
-/// The true values of the simulation, printed at its end.
-#[derive(Serialize)]
-struct Truth {
-    /// Rate error of the board's clock, positive if it was fast.
-    clock_ppm: f64,
-    cable: Option<LinkTruth>,
-    wireless: Option<LinkTruth>,
-}
-
-/// Statistics of a link with faults.
+/// The true values of a link with faults, printed at the end.
 #[derive(Serialize)]
 struct LinkTruth {
     bias_m_s2: [f64; 3],
@@ -55,9 +42,68 @@ struct LinkTruth {
     to_device: FaultCounts,
 }
 
+/// A motion that is simulated; `None`: the samples of a file are replayed.
+type Played = Option<(Scene, Rc<dyn Motion>)>;
+
 pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
-    let faults = Faults::of(&arguments.faults)?;
-    let [cable_faults, wireless_faults] = faults.links;
+    let mut faults = Faults::of(&arguments.faults)?;
+    let (part, _) = sensors(arguments)?;
+    let (mut board, played) = board(arguments, &mut faults, output)?;
+    if arguments.forget_key {
+        board.forget_key();
+        // The erase is complete before a client connects.
+        board.run_until(board.now_us() + ERASE_US);
+    }
+    let mut server = Server::bind(board, arguments.cable, arguments.wireless)
+        .map_err(|(address, error)| {
+            Code::LinkBusy.error(format!("cannot listen: {error}"),
+                "stop the program that listens there, or give other addresses with --cable and --wireless",
+            )
+            .at(address.to_string())
+        })?
+        .at_speed(arguments.speed);
+    if arguments.replay.is_some() || arguments.exit_when_done {
+        server = server.waiting_for_client();
+    }
+    let url = |role| {
+        let address = server.address(role);
+        let address =
+            address.map_err(|error| Problem::file("the listening port", "read", &error))?;
+        Ok(format!("tcp://{address}"))
+    };
+    let (cable, wireless) = (url(LinkRole::Cable)?, url(LinkRole::Wireless)?);
+    output.print(format!(
+        "cable    {cable}\nwireless {wireless}\nCtrl-C stops it; in another terminal: wimu monitor {cable}"
+    ));
+    output.object(&json!({"cable": cable, "wireless": wireless}));
+    let stop = interrupted()?;
+    let clock_ppm = faults.clock_ppm;
+    let mut course =
+        Course { arguments, faults, part, played, pressed: 0, before_us: None, done_us: None };
+    server.run(|board| course.step(board, output) || stop.load(Ordering::Relaxed));
+    let [cable, wireless] =
+        [LinkRole::Cable, LinkRole::Wireless].map(|role| truth(server.board(), role));
+    for (name, link) in [("cable", &cable), ("wireless", &wireless)] {
+        if let Some(LinkTruth { to_host, .. }) = link {
+            output.print(format!(
+                "{name}: {} bytes sent, {} lost, {} bits flipped; frames: {} intact, {} damaged, {} lost",
+                to_host.bytes_sent,
+                to_host.bytes_lost + to_host.bytes_overflowed + to_host.bytes_disconnected,
+                to_host.bits_flipped,
+                to_host.frames_intact,
+                to_host.frames_damaged + to_host.frames_fused,
+                to_host.frames_lost,
+            ));
+        }
+    }
+    // The rate error of the board's clock is positive if it was fast.
+    output.object(&json!({"clock_ppm": clock_ppm, "cable": cable, "wireless": wireless}));
+    Ok(())
+}
+
+/// The board with its sensors in motion, or with the samples of a file.
+fn board(arguments: &Simulate, faults: &mut Faults, output: &Output) -> Result<(Board, Played)> {
+    let [cable_faults, wireless_faults] = std::mem::take(&mut faults.links);
     let storage = match &arguments.store {
         Some(path) => Storage::in_file(path)
             .map_err(|error| Problem::file(&path.display().to_string(), "read", &error))?,
@@ -77,130 +123,88 @@ pub fn run(arguments: &Simulate, output: &Output) -> Result<()> {
         replay: arguments.replay.is_some(),
         device_id: 0x5157_0000_u64.wrapping_add(arguments.seed),
     };
-    let (mut board, played) = match &arguments.replay {
-        Some(path) => {
-            let counts = counts_of(arguments, path)?;
-            output.print(format!("replaying {} samples of {}", counts.len(), path.display()));
-            (Board::start(config, Replay::new(counts).waiting_for_reader()), None)
-        }
-        None => {
-            let scene = Scene::new(World::default());
-            let motion = motion::named(&arguments.motion, arguments.seed).map_err(|unknown| {
-                let known: Vec<_> = motion::NAMES.iter().map(|(name, _)| *name).collect();
-                usage(unknown.to_string(), format!("choose from {}", known.join(", ")))
-            })?;
-            scene.play(0.0, motion.clone());
-            let truth = part.random_truth(arguments.seed, Gauge::LowerTriangular);
-            let physics = Physics::new(truth, scene.clone(), arguments.seed);
-            let board = match second {
-                Some(second) => {
-                    // Errors and noise of its own.
-                    let seed = arguments.seed.wrapping_add(SECOND_SEED);
-                    let truth = second.random_truth(seed, Gauge::Full);
-                    let other = Physics::new(truth, scene.clone(), seed);
-                    Board::start_pair(config, physics, (second, other))
-                }
-                None => Board::start(config, physics),
-            };
-            (board, Some((scene, motion)))
-        }
-    };
-    if arguments.forget_key {
-        board.forget_key();
-        // The erase is complete before a client connects.
-        board.run_until(board.now_us() + ERASE_US);
+    if let Some(path) = &arguments.replay {
+        let counts = counts_of(arguments, path)?;
+        output.print(format!("replaying {} samples of {}", counts.len(), path.display()));
+        return Ok((Board::start(config, Replay::new(counts).waiting_for_reader()), None));
     }
-    let mut server = Server::bind(board, arguments.cable, arguments.wireless)
-        .map_err(|(address, error)| {
-            Code::LinkBusy.error(format!("cannot listen: {error}"),
-                "stop the program that listens there, or give other addresses with --cable and --wireless",
-            )
-            .at(address.to_string())
-        })?
-        .at_speed(arguments.speed);
-    if arguments.replay.is_some() || arguments.exit_when_done {
-        server = server.waiting_for_client();
-    }
-    let url = |role| {
-        server
-            .address(role)
-            .map(|address| format!("tcp://{address}"))
-            .map_err(|error| Problem::file("the listening port", "read", &error))
+    let scene = Scene::new(World::default());
+    let motion = motion::named(&arguments.motion, arguments.seed).map_err(|unknown| {
+        let known: Vec<_> = motion::NAMES.iter().map(|(name, _)| *name).collect();
+        usage(unknown.to_string(), format!("choose from {}", known.join(", ")))
+    })?;
+    scene.play(0.0, motion.clone());
+    let truth = part.random_truth(arguments.seed, Gauge::LowerTriangular);
+    let physics = Physics::new(truth, scene.clone(), arguments.seed);
+    let Some(second) = second else {
+        return Ok((Board::start(config, physics), Some((scene, motion))));
     };
-    let listening = Listening { cable: url(LinkRole::Cable)?, wireless: url(LinkRole::Wireless)? };
-    output.print(format!(
-        "cable    {}\nwireless {}\nCtrl-C stops it; in another terminal: wimu monitor {}",
-        listening.cable, listening.wireless, listening.cable
-    ));
-    output.object(&listening);
-    let stop = interrupted()?;
-    let mut done_at = None;
-    let mut presses = (1..).zip(faults.presses_s).peekable();
-    let mut before_us = None;
-    server.run(|board| {
+    // Errors and noise of its own.
+    let seed = arguments.seed.wrapping_add(SECOND_SEED);
+    let other = Physics::new(second.random_truth(seed, Gauge::Full), scene.clone(), seed);
+    Ok((Board::start_pair(config, physics, (second, other)), Some((scene, motion))))
+}
+
+/// What happens to the board while it runs.
+struct Course<'a> {
+    arguments: &'a Simulate,
+    faults: Faults,
+    part: SensorPart,
+    played: Played,
+    /// Presses of the button so far.
+    pressed: u16,
+    before_us: Option<u64>,
+    done_us: Option<u64>,
+}
+
+impl Course<'_> {
+    /// Applies faults, presses and the motion; returns whether the simulation is over.
+    fn step(&mut self, board: &mut Board, output: &Output) -> bool {
         let now_us = board.now_us();
-        for fault in &faults.sensor {
-            fault.apply(part, board.sensor(), before_us, now_us);
+        let now_s = now_us as f64 * 1e-6;
+        for fault in &self.faults.sensor {
+            fault.apply(self.part, board.sensor(), self.before_us, now_us);
         }
-        before_us = Some(now_us);
-        let is_due = |(_, at_s): &(u16, f64)| *at_s <= now_us as f64 * 1e-6;
-        while let Some((count, _)) = presses.next_if(is_due) {
-            board.press(count);
+        self.before_us = Some(now_us);
+        let presses_s = &self.faults.presses_s;
+        while presses_s.get(usize::from(self.pressed)).is_some_and(|at_s| *at_s <= now_s) {
+            self.pressed += 1;
+            board.press(self.pressed);
         }
-        let done = match &played {
+        let exits = self.arguments.exit_when_done;
+        let done = match &self.played {
             Some((scene, motion)) => {
-                let over = now_us as f64 * 1e-6 >= scene.end_s();
-                if over && !arguments.exit_when_done {
+                let over = now_s >= scene.end_s();
+                if over && !exits {
                     scene.play(scene.end_s(), motion.clone());
                 }
                 over
             }
             None => board.sensor().finished(),
         };
-        if done && done_at.is_none() {
-            done_at = Some(now_us);
-            output.print(match (&played, arguments.exit_when_done) {
+        if done && self.done_us.is_none() {
+            self.done_us = Some(now_us);
+            output.print(match (&self.played, exits) {
                 (Some(_), false) => "the motion starts again",
                 (Some(_), true) => "the motion is over",
                 (None, _) => "the replayed file is over; the sensor has no more data",
             });
         }
-        stop.load(Ordering::Relaxed)
-            || (arguments.exit_when_done && done_at.is_some_and(|at| now_us >= at + LINGER_US))
-    });
-    let board = server.board();
-    let truth = |role| {
-        let channels = board.faults(role)?;
-        let to_host = channels.to_host.borrow();
-        let values = to_host.faults().values.unwrap_or_default();
-        Some(LinkTruth {
-            bias_m_s2: values.bias_mps2,
-            scale: values.scale,
-            noise_m_s2: values.noise_mps2,
-            to_host: to_host.counts(),
-            to_device: channels.to_device.borrow().counts(),
-        })
-    };
-    let truth = Truth {
-        clock_ppm: faults.clock_ppm,
-        cable: truth(LinkRole::Cable),
-        wireless: truth(LinkRole::Wireless),
-    };
-    for (name, link) in [("cable", &truth.cable), ("wireless", &truth.wireless)] {
-        if let Some(LinkTruth { to_host, .. }) = link {
-            output.print(format!(
-                "{name}: {} bytes sent, {} lost, {} bits flipped; frames: {} intact, {} damaged, {} lost",
-                to_host.bytes_sent,
-                to_host.bytes_lost + to_host.bytes_overflowed + to_host.bytes_disconnected,
-                to_host.bits_flipped,
-                to_host.frames_intact,
-                to_host.frames_damaged + to_host.frames_fused,
-                to_host.frames_lost,
-            ));
-        }
+        exits && self.done_us.is_some_and(|at| now_us >= at + LINGER_US)
     }
-    output.object(&truth);
-    Ok(())
+}
+
+fn truth(board: &Board, role: LinkRole) -> Option<LinkTruth> {
+    let channels = board.faults(role)?;
+    let to_host = channels.to_host.borrow();
+    let values = to_host.faults().values.unwrap_or_default();
+    Some(LinkTruth {
+        bias_m_s2: values.bias_mps2,
+        scale: values.scale,
+        noise_m_s2: values.noise_mps2,
+        to_host: to_host.counts(),
+        to_device: channels.to_device.borrow().counts(),
+    })
 }
 
 /// The sensor, and a second one.
@@ -263,7 +267,7 @@ impl Faults {
         let number = |text: &str, unit: &str, least: f64, most: f64| {
             let value = text.strip_suffix(unit).and_then(|text| text.parse().ok());
             value.filter(|value| (least..=most).contains(value)).ok_or_else(|| {
-                let message = format!("--faults: `{fault}` is no fault");
+                let message = format!("--faults: `{fault}` is not a fault");
                 usage(message, format!("give a number from {least} to {most} with the unit {unit}"))
             })
         };

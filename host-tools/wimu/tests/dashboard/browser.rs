@@ -171,6 +171,20 @@ impl Drop for Browser {
     }
 }
 
+/// Drops a table of several pieces on the page.
+const DROP: &str = "uploads([new File([
+    'Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g),\
+     Gyroscope X (rad/s),Gyroscope Y (rad/s),Gyroscope Z (rad/s)\\n',
+    Array.from({ length: 5000 }, (_, k) => `${k / 100},0.01,${k % 7 / 100},1,0,0,0.1`).join('\\n'),
+], 'dropped.csv')])";
+
+/// Chooses the spectrum of |f|.
+const SPECTRUM: &str = "(() => {
+    const of = document.querySelector('#view-live [aria-label=\"Spectrum of\"]');
+    of.value = 3;
+    of.dispatchEvent(new Event('change'));
+})()";
+
 /// The samples that the page has of its first board.
 pub const COUNT: &str = "[...boards.values()][0].ring.count";
 
@@ -232,6 +246,35 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     browser.until(&tab, &format!("{COUNT} > 100 && server.writes"));
     browser.until(&tab, "document.body.innerText.includes('calibrated')");
 
+    // Settings are read and written.
+    let cable = format!("tcp://{address}");
+    browser.value(&tab, "choose('settings')");
+    let zupt = "document.querySelector('#view-settings [aria-label=\"zero-velocity updates\"]')";
+    browser.until(&tab, &format!("{zupt}?.value === 'on'"));
+    browser.value(&tab, &format!("{zupt}.value = 'off'"));
+    browser.click(&tab, "Write to the board");
+    browser.until(&tab, "document.body.innerText.includes('written: the board holds')");
+    assert_eq!(wimu(&["device", "settings", "get", &cable]).succeeds()["zupt"], false);
+
+    // A dropped file is in the folder; its plots share the cursor, and a signal can be hidden.
+    browser.value(&tab, DROP);
+    browser.until(&tab, "document.querySelectorAll('#view-files figure canvas').length === 2");
+    assert!(folder.path().join("dropped.csv").exists());
+    let of_files = "WimuPlot.all.filter((plot) => plot.figure.closest('#view-files'))";
+    let cursor = format!(
+        "(([a, b]) => {{ a.hover(300, 100); return Math.abs(b.time - a.vx(300)) < 1; }})({of_files})"
+    );
+    assert_eq!(browser.value(&tab, &cursor), true);
+    let hide = format!(
+        "(([a]) => {{ a.legend.querySelector('button').click(); return a.series[0].off; }})({of_files})"
+    );
+    assert_eq!(browser.value(&tab, &hide), true);
+    browser.value(&tab, "choose('live')");
+    browser.value(&tab, SPECTRUM);
+    browser.until(&tab, "document.querySelectorAll('#view-live figure').length === 2");
+    let notice = "(say('x'), $('message').click(), $('message').textContent)";
+    assert_eq!(browser.value(&tab, notice), "");
+
     // Two pages at once, one of them without the token.
     let bare = served.url.split('#').next().unwrap().to_owned();
     let other = browser.open(&bare, 360, true);
@@ -241,7 +284,8 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
         let count = browser.value(page, COUNT);
         browser.until(page, &format!("{COUNT} > {count}"));
     }
-    for name in ["live", "space", "noise", "links", "calibrate", "parameters", "files"] {
+    for name in ["live", "space", "noise", "links", "calibrate", "parameters", "settings", "files"]
+    {
         browser.value(&other, &format!("choose({name:?})"));
         browser.until(&other, &format!("!document.getElementById('view-{name}').hidden"));
         let wide = browser.value(&other, "document.documentElement.scrollWidth - innerWidth");

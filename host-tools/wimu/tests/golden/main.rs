@@ -330,7 +330,7 @@ fn demo() -> &'static str {
 
 /// A folder with the walks of `wimu demo --localize`, made once: ranges, anchors, a unit on a shoe, fixes.
 fn walks() -> &'static str {
-    const LINES: [&str; 1] = ["demo --localize {} --report {}/localize.html"];
+    const LINES: [&str; 1] = ["demo --localize {}"];
     static FOLDER: OnceLock<String> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = made("golden-walks", &LINES);

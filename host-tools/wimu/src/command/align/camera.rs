@@ -9,15 +9,11 @@ use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::{Code, Result};
 
 use crate::arguments::Align;
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 /// Returns the exit code: 0, or 3 if the motion does not show the rotation.
 pub fn run(arguments: &Align, camera: &Path, output: &Output) -> Result<u8> {
     let file = Path::new(&arguments.input);
-    for read in [camera, file] {
-        not_over_input(read, arguments.report.as_deref())?;
-    }
     let options = HandEyeOptions::default();
     let streams = [PoseStream::read(camera)?, body(arguments, file)?];
     if streams[0].poses().eq(streams[1].poses()) {

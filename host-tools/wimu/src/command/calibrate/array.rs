@@ -2,45 +2,19 @@
 
 use std::path::Path;
 
-use serde::Serialize;
+use serde_json::{Value, json};
 use wimu_calib::Gravity;
 use wimu_host::array::{ArrayGeometry, CalibratedArray, calibrate_array};
 use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_host::{Code, Problem, Result};
-use wimu_model::ErrorModel;
 
 use crate::arguments::Calibrate;
 use crate::command::array::{self, Refined};
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
-
-#[derive(Serialize)]
-struct Calibrated {
-    source: String,
-    gravity_m_s2: f64,
-    rests: usize,
-    /// Difference of the corrected sensors at the rests, rms per axis.
-    disagreement_m_s2: f64,
-    sensors: Vec<Sensor>,
-    /// Positions and delays; null where the recording does not observe them.
-    refined: Option<Refined>,
-}
-
-#[derive(Serialize)]
-struct Sensor {
-    /// In the array's axes; null for a sensor that is left out.
-    model: Option<ErrorModel>,
-    rests: usize,
-    /// |f| − g at the rests.
-    rms_mm_s2: Option<f64>,
-}
 
 /// Calibrates an array.
 pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()> {
     let input = Path::new(&arguments.input);
-    for read in [input, geometry].into_iter().chain(arguments.more.iter().map(AsRef::as_ref)) {
-        not_over_input(read, arguments.output.as_deref())?;
-    }
     let geometry = ArrayGeometry::read(geometry)?;
     let options = array::prior(None, None, &geometry);
     let recording =
@@ -71,7 +45,7 @@ fn present(
     arguments: &Calibrate,
     gravity: Gravity,
     output: &Output,
-) -> Calibrated {
+) -> Value {
     let calibration = &found.calibration;
     output.print(format!(
         "{}: {} sensors, {} rests, g = {:.5} m/s²",
@@ -95,11 +69,12 @@ fn present(
                 mm(fit.rms_mps2)
             ));
         }
-        sensors.push(Sensor {
-            model: sensor.model,
-            rests: fit.map_or(0, |fit| fit.rests),
-            rms_mm_s2: fit.map(|fit| mm(fit.rms_mps2)),
-        });
+        // A sensor that is left out has no model; the models are in the array's axes.
+        sensors.push(json!({
+            "model": sensor.model,
+            "rests": fit.map_or(0, |fit| fit.rests),
+            "rms_mm_s2": fit.map(|fit| mm(fit.rms_mps2)),
+        }));
     }
     output.print(format!(
         "corrected sensors differ by {:.4} m/s² rms per axis at the rests",
@@ -116,12 +91,13 @@ fn present(
         }
     };
     output.findings(&findings);
-    Calibrated {
-        source: arguments.input.clone(),
-        gravity_m_s2: gravity.mps2(),
-        rests: calibration.rests.len(),
-        disagreement_m_s2: calibration.disagreement_mps2,
-        sensors,
-        refined,
-    }
+    // `refined` is null where the recording does not observe positions and delays.
+    json!({
+        "source": arguments.input,
+        "gravity_m_s2": gravity.mps2(),
+        "rests": calibration.rests.len(),
+        "disagreement_m_s2": calibration.disagreement_mps2,
+        "sensors": sensors,
+        "refined": refined,
+    })
 }

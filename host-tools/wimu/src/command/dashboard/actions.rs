@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use serde::Deserialize;
+use serde_json::{Value, json};
 use wimu_host::allan::NoiseMeter;
 use wimu_host::calibration::{CalibrateOptions, Calibration, Difference, MethodChoice};
 use wimu_host::guided::{Guided, Plan};
@@ -12,21 +13,10 @@ use wimu_model::ParameterSet;
 use super::board::{Board, Feed};
 use super::hub::Asker;
 use super::path::Path3;
-use crate::arguments::{Arguments, Command};
+use crate::arguments::{Arguments, Change, Command, Device, Settings};
 use crate::command::navigate::Beside;
+use crate::command::settings;
 use crate::output::usage;
-
-/// A file of the folder.
-#[derive(Clone, Debug, Deserialize)]
-pub struct File {
-    pub file: String,
-}
-
-/// Speed, or time since the start of a recording, s.
-#[derive(Clone, Copy, Debug, Deserialize)]
-pub struct Number {
-    value: f64,
-}
 
 /// Options of the filter of `wimu navigate`, as on the command line; empty: not given.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -65,11 +55,24 @@ pub enum Action {
     EndNavigation,
     Zero,
     /// What a push of a file would change.
-    Difference(File),
-    PushFile(File),
+    Difference {
+        file: String,
+    },
+    PushFile {
+        file: String,
+    },
+    /// The settings, after changes with the options of `wimu device settings set`.
+    Settings {
+        options: Vec<String>,
+    },
     Pause,
-    Speed(Number),
-    Seek(Number),
+    Speed {
+        value: f64,
+    },
+    /// Go to a time since the start of the recording, s.
+    Seek {
+        value: f64,
+    },
     Close,
 }
 
@@ -79,8 +82,8 @@ impl Action {
         matches!(
             self,
             Self::Pause
-                | Self::Speed(_)
-                | Self::Seek(_)
+                | Self::Speed { .. }
+                | Self::Seek { .. }
                 | Self::Navigate(_)
                 | Self::EndNavigation
                 | Self::Noise
@@ -101,8 +104,7 @@ pub enum Job {
 pub enum Next {
     Close,
     Join(LinkUrl, Box<LiveClient>),
-    /// This set, or that of the guided calibration.
-    Push(Option<Box<ParameterSet>>, Asker),
+    Do(Action, Asker),
 }
 
 impl Board {
@@ -115,28 +117,38 @@ impl Board {
         match action {
             Action::Close => {
                 asker.answer(Ok(()));
-                Some(Next::Close)
+                return Some(Next::Close);
             }
-            Action::Push if matches!(feed, Feed::Live(_)) => Some(Next::Push(None, asker)),
-            Action::PushFile(File { file }) if matches!(feed, Feed::Live(_)) => {
-                match self.parameters(&file) {
-                    Ok(set) => Some(Next::Push(Some(Box::new(set)), asker)),
-                    Err(error) => {
-                        asker.answer(Err::<(), _>(error));
-                        None
-                    }
-                }
+            Action::Push | Action::PushFile { .. } | Action::Settings { .. }
+                if matches!(feed, Feed::Live(_)) =>
+            {
+                return Some(Next::Do(action, asker));
             }
-            Action::Difference(File { file }) => {
-                let set = self.parameters(&file);
+            Action::Difference { file } => {
                 let held = self.held.as_ref().and_then(Option::as_ref).map(|(_, set)| set);
-                asker.answer(set.map(|set| Difference::of(held, &set)));
-                None
+                asker.answer(self.parameters(&file).map(|set| Difference::of(held, &set)));
             }
-            action => {
-                asker.answer(self.do_here(action, feed));
-                None
+            action => asker.answer(self.do_here(action, feed)),
+        }
+        None
+    }
+
+    /// Does what needs a client.
+    pub fn exchange(&mut self, action: Action, client: &mut LiveClient) -> Result<Value> {
+        match (action, &mut self.guided) {
+            (Action::Settings { options }, _) => {
+                let change = if options.is_empty() { None } else { Some(change(options)?) };
+                Ok(json!(settings::exchange(client, change.as_ref())?))
             }
+            (Action::PushFile { file }, _) => {
+                let set = self.parameters(&file)?;
+                Ok(json!(format!("pushed {}", wimu_host::guided::push(client, &set)?)))
+            }
+            (_, Some(guided)) => {
+                guided.push(client);
+                Ok(json!(guided.view.message))
+            }
+            (_, None) => Ok(json!("there is no calibration to push")),
         }
     }
 
@@ -174,8 +186,8 @@ impl Board {
                 self.path = Path3::default();
             }
             Action::Zero => self.path.zero(),
-            Action::Pause | Action::Speed(_) => play(feed, &action)?,
-            Action::Seek(_) => {
+            Action::Pause | Action::Speed { .. } => play(feed, &action)?,
+            Action::Seek { .. } => {
                 play(feed, &action)?;
                 self.begin_again();
             }
@@ -210,10 +222,7 @@ impl Board {
         let Some(hello) = &self.hello else {
             return Err(usage("the board is not known yet", "wait until it answers"));
         };
-        let method = match six {
-            true => MethodChoice::SixPosition,
-            false => MethodChoice::MultiPosition,
-        };
+        let method = if six { MethodChoice::SixPosition } else { MethodChoice::MultiPosition };
         let options = CalibrateOptions {
             method,
             utc_s: crate::command::calibrate::utc_s(),
@@ -244,12 +253,7 @@ impl Board {
         if !profile.is_empty() {
             words.push(format!("--profile={profile}"));
         }
-        let parsed = Arguments::try_parse_from(words).map_err(|error| {
-            let text = error.to_string();
-            let first = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
-            usage(first, "see `wimu navigate --help`, Aiding")
-        })?;
-        match parsed.command {
+        match parsed(words)? {
             Command::Navigate(mut navigate) => {
                 navigate.aids.read_setup()?;
                 Beside::new(&navigate.aids, &self.name)
@@ -259,16 +263,36 @@ impl Board {
     }
 }
 
+/// A command line, as a page gives it.
+fn parsed(words: Vec<String>) -> Result<Command> {
+    let parsed = Arguments::try_parse_from(words).map_err(|error| {
+        let text = error.to_string();
+        let first = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
+        usage(first, "correct it on the page")
+    })?;
+    Ok(parsed.command)
+}
+
+fn change(options: Vec<String>) -> Result<Change> {
+    let words = ["wimu", "device", "settings", "set", "auto"].map(String::from);
+    match parsed([Vec::from(words), options].concat())? {
+        Command::Device { action: Device::Settings { action: Settings::Set { change, .. } } } => {
+            Ok(change)
+        }
+        _ => Err(usage("no change of settings", "reload the page")),
+    }
+}
+
 fn play(feed: &mut Feed, action: &Action) -> Result<()> {
     let Feed::Replay(player) = feed else {
         return Err(usage("a board cannot be paused", "pause the page"));
     };
     match *action {
         Action::Pause => player.view.paused = !player.view.paused,
-        Action::Speed(Number { value }) if (0.01..=100.0).contains(&value) => {
+        Action::Speed { value } if (0.01..=100.0).contains(&value) => {
             player.view.speed = value;
         }
-        Action::Seek(Number { value }) if value >= 0.0 => player.seek(value)?,
+        Action::Seek { value } if value >= 0.0 => player.seek(value)?,
         _ => {
             return Err(usage(
                 "this speed or time cannot be played",

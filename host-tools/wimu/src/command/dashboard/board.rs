@@ -115,7 +115,10 @@ impl Board {
                     urls.push(url);
                     clients.push(*client);
                 }
-                Next::Push(set, asker) => asker.answer(self.push(&mut clients, set.as_deref())),
+                Next::Do(action, asker) => {
+                    let client = self.writer_of(&mut clients);
+                    asker.answer(self.exchange(action, client));
+                }
             }
         }
         self.end();
@@ -258,21 +261,12 @@ impl Board {
         self.publish("parameters", &value);
     }
 
-    /// Writes a set to the board, or that of the guided calibration.
-    fn push(&mut self, clients: &mut [LiveClient], set: Option<&ParameterSet>) -> Result<String> {
-        // The cable needs no key.
+    /// The link for writes: the cable, which needs no key, if it is up.
+    fn writer_of<'c>(&self, clients: &'c mut [LiveClient]) -> &'c mut LiveClient {
         let is_cable = |client: &LiveClient| client.hello().role == wimu_link::LinkRole::Cable;
         let on_cable =
             (0..clients.len()).find(|k| is_cable(&clients[*k]) && self.links[*k].lost.is_none());
-        let client = &mut clients[on_cable.unwrap_or(0)];
-        match (set, &mut self.guided) {
-            (Some(set), _) => wimu_host::guided::push(client, set).map(|id| format!("pushed {id}")),
-            (None, Some(guided)) => {
-                guided.push(client);
-                Ok(guided.view.message.clone())
-            }
-            (None, None) => Ok("there is no calibration to push".to_owned()),
-        }
+        &mut clients[on_cable.unwrap_or(0)]
     }
 
     fn tick(&mut self, feed: &Feed) {
@@ -311,7 +305,7 @@ impl Board {
             self.show_state(feed.replay());
         }
         if self.ticks.is_multiple_of(PATH)
-            && let Some(chart) = self.path.chart()
+            && let Some(chart) = self.path.chart(self.navigator.as_ref().map(Beside::fixes))
         {
             self.publish("path", &chart);
         }

@@ -1,9 +1,12 @@
 //! The files that pages may name: those of one folder, and those of the command line.
 
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Write};
 use std::path::{Component, Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use serde::Serialize;
+use data_encoding::BASE64;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use wimu_host::chart::Chart;
 use wimu_host::formats::{Overview, ReadOptions, Source};
@@ -13,8 +16,9 @@ use super::hub::Hub;
 
 /// Interval between pictures of a file that is read.
 const PICTURE: Duration = Duration::from_millis(500);
-/// Most files that are listed.
+/// Most files that are listed, and levels of folders below the dashboard's.
 const MOST_LISTED: usize = 500;
+const DEPTH: usize = 4;
 const KNOWN: [&str; 11] =
     ["mcap", "csv", "txt", "json", "bag", "db3", "ulg", "bin", "bbl", "bfl", "zip"];
 
@@ -23,6 +27,17 @@ const KNOWN: [&str; 11] =
 pub struct Folder {
     path: PathBuf,
     given: Vec<PathBuf>,
+}
+
+/// A piece of a file that was dropped on a page.
+#[derive(Deserialize)]
+pub struct Piece {
+    file: String,
+    /// Offset of the piece, bytes.
+    at: u64,
+    /// Its bytes in Base64.
+    data: String,
+    last: bool,
 }
 
 /// A file in a list.
@@ -66,39 +81,61 @@ impl Folder {
             let remedy = "choose a file of the list; `wimu dashboard --folder` sets the folder";
             Code::Usage.error("only files of the dashboard's folder can be opened", remedy).at(name)
         };
-        let mut parts = Path::new(name).components();
-        match (parts.next(), parts.next()) {
-            (Some(Component::Normal(part)), None)
-                if part == name && !name.contains(['\\', '/', ':']) => {}
-            _ => return Err(refused()),
+        let is_below = |part| matches!(part, Component::Normal(_));
+        let is_plain = Path::new(name).components().all(is_below) && !name.contains(['\\', ':']);
+        if name.is_empty() || !is_plain {
+            return Err(refused());
         }
         let path = self.path.join(name);
         let real = path.canonicalize().map_err(|error| Problem::file(name, "open", &error))?;
-        if real.parent() != Some(&self.path) {
+        if !real.starts_with(&self.path) {
             return Err(refused());
         }
         Ok(real)
     }
 
+    /// Takes a piece of a file that was dropped on a page, at its offset; returns its name once the last one is written.
+    ///
+    /// # Errors
+    /// `usage` for a name that is no file of recordings, that exists, and for pieces out of order; `file_failed`.
+    pub fn receive<'a>(&self, piece: &'a Piece) -> Result<Option<&'a str>> {
+        let Piece { file: name, at, data, last } = piece;
+        let to = self.path.join(name);
+        let is_plain = Path::new(name).file_name().is_some_and(|part| part == name.as_str());
+        if !is_plain || name.starts_with('.') || name.contains(['\\', ':']) || !is_known(&to) {
+            let remedy = format!("drop a recording, table or calibration: {}", KNOWN.join(", "));
+            return Err(Code::Usage.error("this is no file for the dashboard", remedy).at(name));
+        }
+        if to.symlink_metadata().is_ok() {
+            return Err(Problem::file(name, "create", &ErrorKind::AlreadyExists.into()));
+        }
+        let failed = |error: std::io::Error| Problem::file(name, "write", &error);
+        // Hidden, so that it is not listed.
+        let draft = self.path.join(format!(".{name}.part"));
+        if *at == 0 {
+            let _ = std::fs::remove_file(&draft);
+        }
+        let mut options = OpenOptions::new();
+        let mut written = options.append(true).create_new(*at == 0).open(&draft).map_err(failed)?;
+        let data = BASE64.decode(data.as_bytes());
+        let in_order = written.metadata().is_ok_and(|about| about.len() == *at);
+        let Some(data) = data.ok().filter(|_| in_order) else {
+            let message = "the pieces of the file did not arrive in order";
+            return Err(Code::Usage.error(message, "drop it again").at(name));
+        };
+        written.write_all(&data).map_err(failed)?;
+        if !last {
+            return Ok(None);
+        }
+        written.sync_all().and_then(|()| std::fs::rename(&draft, &to)).map_err(failed)?;
+        Ok(Some(name))
+    }
+
     /// The files, by name.
     pub fn list(&self) -> Vec<Listed> {
-        let is_known = |path: &Path| {
-            let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-            KNOWN.contains(&extension.as_str())
-        };
         let given = self.given.iter().flat_map(|path| path.canonicalize());
-        let given: Vec<PathBuf> = given.collect();
-        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
-        let mut listed: Vec<Listed> = entries
-            .filter(|entry| is_known(&entry.path()) && !given.contains(&entry.path()))
-            .filter_map(|entry| {
-                let about = entry.metadata().ok().filter(|about| about.is_file())?;
-                let name = entry.file_name().into_string().ok()?;
-                // A hidden one may be a draft of a file that is being written.
-                (!name.starts_with('.')).then_some(Listed { name, bytes: about.len() })
-            })
-            .take(MOST_LISTED)
-            .collect();
+        let mut listed = Vec::new();
+        self.list_below(&self.path, DEPTH, &Vec::from_iter(given), &mut listed);
         listed.extend(self.given.iter().map(|path| Listed {
             name: path.display().to_string(),
             bytes: std::fs::metadata(path).map_or(0, |about| about.len()),
@@ -106,6 +143,34 @@ impl Folder {
         listed.sort_by(|a, b| a.name.cmp(&b.name));
         listed
     }
+
+    /// Lists a folder and those in it, `depth` levels down.
+    fn list_below(&self, folder: &Path, depth: usize, given: &[PathBuf], listed: &mut Vec<Listed>) {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            let (path, about) = (entry.path(), entry.metadata());
+            // A hidden one may be a draft of a file that is being written.
+            let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+            let Some(about) = about.ok().filter(|_| !is_hidden && listed.len() < MOST_LISTED)
+            else {
+                continue;
+            };
+            if about.is_dir() && depth > 0 {
+                self.list_below(&path, depth - 1, given, listed);
+            }
+            let name = path.strip_prefix(&self.path).ok().and_then(Path::to_str);
+            if let Some(name) = name.filter(|_| about.is_file() && is_known(&path))
+                && !given.contains(&path)
+            {
+                listed.push(Listed { name: name.replace('\\', "/"), bytes: about.len() });
+            }
+        }
+    }
+}
+
+/// Whether the dashboard shows a file of this name.
+fn is_known(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    KNOWN.contains(&extension.as_str())
 }
 
 /// Reads a file in this thread, and shows what it holds under `topic` while it is read.
@@ -152,6 +217,8 @@ mod tests {
         std::fs::create_dir(&inside).unwrap();
         std::fs::write(inside.join("mine.csv"), "x").unwrap();
         std::fs::write(inside.join("key.pem"), "x").unwrap();
+        std::fs::create_dir_all(inside.join("day/one")).unwrap();
+        std::fs::write(inside.join("day/one/walk.csv"), "x").unwrap();
         #[cfg(unix)]
         std::os::unix::fs::symlink(outside.path().join("secret.csv"), inside.join("link.csv"))
             .unwrap();
@@ -180,11 +247,31 @@ mod tests {
         }
         let names = |folder: &Folder| Vec::from_iter(folder.list().into_iter().map(|one| one.name));
         let listed = names(&folder);
-        assert!(listed.contains(&"mine.csv".to_owned()) && !listed.contains(&"key.pem".to_owned()));
+        assert_eq!(listed[1..], ["day/one/walk.csv", "mine.csv"]);
+        assert!(folder.file("day/one/walk.csv").is_ok() && folder.file("day/../mine.csv").is_err());
         let mine = inside.join("mine.csv");
         let folder = Folder::new(&inside, vec![mine.clone()]).unwrap();
         let once = names(&folder).into_iter().filter(|name| name.ends_with("mine.csv"));
         assert_eq!(Vec::from_iter(once), [mine.display().to_string()]);
+    }
+
+    #[test]
+    fn a_dropped_file_arrives_in_order_and_replaces_none() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = Folder::new(place.path(), Vec::new()).unwrap();
+        let take = |file: &str, at: u64, data: &str, last| {
+            let (file, data) = (file.to_owned(), BASE64.encode(data.as_bytes()));
+            folder.receive(&Piece { file, at, data, last }).map(|name| name.is_some())
+        };
+        assert!(!take("a.csv", 0, "1,", false).unwrap());
+        assert!(take("a.csv", 5, "2", true).is_err(), "a piece is missing");
+        assert!(folder.list().is_empty());
+        assert!(take("a.csv", 2, "2", true).unwrap());
+        assert_eq!(std::fs::read_to_string(place.path().join("a.csv")).unwrap(), "1,2");
+        for name in ["a.csv", "../b.csv", "c/d.csv", ".e.csv", "run.sh", "", "..", "C:f.csv"] {
+            assert!(take(name, 0, "x", true).is_err(), "{name}");
+        }
+        assert_eq!(folder.list().len(), 1);
     }
 
     #[test]

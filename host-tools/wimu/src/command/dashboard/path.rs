@@ -7,6 +7,8 @@ use wimu_link::message::Navigation;
 
 /// Points of a path; where it is longer, every second one is left out.
 const MOST_POINTS: usize = 1000;
+/// Least distance from the path up to which fixes are shown, m.
+const NEAR_M: f64 = 10.0;
 /// Corners of a circle on an ellipsoid.
 const CORNERS: u32 = 48;
 
@@ -53,6 +55,12 @@ impl Path3 {
         }
     }
 
+    /// Least and largest coordinate along an axis, m.
+    fn extent(&self, axis: usize) -> [f64; 2] {
+        let along = self.points.iter().map(|point| point[axis]);
+        along.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(v), high.max(v)])
+    }
+
     /// The path begins here, at zero.
     pub fn zero(&mut self) {
         self.origin_m = self.points.last().copied().unwrap_or_default();
@@ -60,8 +68,8 @@ impl Path3 {
         self.every = 1;
     }
 
-    /// The chart, from the second point on.
-    pub fn chart(&self) -> Option<Value> {
+    /// The chart, from the second point on, with fixes and whether each was used.
+    pub fn chart(&self, fixes: Option<Vec<([f64; 3], bool)>>) -> Option<Value> {
         let last = self.points.last().filter(|_| self.points.len() > 1)?;
         let moved = |p: &[f64; 3]| [0, 1, 2].map(|k| p[k] - self.origin_m[k]);
         let points: Vec<_> = self.points.iter().map(moved).collect();
@@ -73,6 +81,23 @@ impl Path3 {
             let names = ["1 σ", "", ""].into_iter();
             let circles = ellipsoid(moved(last), covariance).into_iter().zip(names);
             series.extend(circles.map(|(circle, name)| Series::space(name, Style::Guide, &circle)));
+        }
+        let size =
+            (0..3).map(|axis| self.extent(axis)).fold(0.0, |most, [a, b]| f64::max(most, b - a));
+        for (name, used) in [("fix", true), ("rejected fix", false)] {
+            let fixes = fixes.iter().flatten().filter(|fix| fix.1 == used).map(|fix| fix.0);
+            // One far away would make a point of the path.
+            let is_near = |fix: &[f64; 3]| {
+                let far = |axis: usize| {
+                    let [low, high] = self.extent(axis);
+                    fix[axis] < low - size.max(NEAR_M) || fix[axis] > high + size.max(NEAR_M)
+                };
+                !(0..3).any(far)
+            };
+            let fixes = Vec::from_iter(fixes.filter(is_near).map(|fix| moved(&fix)));
+            if !fixes.is_empty() {
+                series.push(Series::space(name, Style::Dots, &fixes));
+            }
         }
         let chart = Chart {
             z: "up, m".to_owned(),

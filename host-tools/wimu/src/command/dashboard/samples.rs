@@ -73,10 +73,7 @@ impl Samples {
         self.history.drain(..old);
         let restarted = std::mem::take(&mut self.restarted);
         let whole = restarted || joined;
-        let sent = match whole {
-            true => &*self.history.make_contiguous(),
-            false => &fresh,
-        };
+        let sent = if whole { &*self.history.make_contiguous() } else { &fresh };
         if sent.is_empty() && !whole {
             return None;
         }

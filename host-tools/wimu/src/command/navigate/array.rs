@@ -9,7 +9,6 @@ use wimu_host::inertial::{Choice, InertialPath, navigate_array};
 
 use crate::arguments::Navigate;
 use crate::command::array::{self, Refined};
-use crate::command::not_over_input;
 use crate::output::Output;
 
 /// Navigates an array.
@@ -19,13 +18,6 @@ pub fn path(
     choice: &Choice,
     output: &Output,
 ) -> Result<(InertialPath, Option<Refined>)> {
-    for written in [&arguments.aids.setup.refine, &arguments.output, &arguments.report] {
-        for read in arguments.boards.iter().chain(&arguments.with) {
-            not_over_input(read, written.as_deref())?;
-        }
-        not_over_input(geometry, written.as_deref())?;
-    }
-    not_over_input(&arguments.input, arguments.aids.setup.refine.as_deref())?;
     let mut geometry = ArrayGeometry::read(geometry)?;
     if !arguments.with.is_empty() {
         geometry = geometry.with_models(&arguments.with)?;

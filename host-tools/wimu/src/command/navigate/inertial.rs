@@ -166,7 +166,8 @@ pub fn present(
         output.print(format!("wrote {} to {}", counted(path.points.len(), "row"), file.display()));
     }
     if let Some(file) = &arguments.report {
-        path.page(&source, &text).write(file)?;
+        let fixes = choice.map_or_else(Fixes::default, |choice| choice.fixes.clone());
+        path.page(&source, &text, &fixes).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
     Ok(Found { path: path.summary(source, choice), refined: None })

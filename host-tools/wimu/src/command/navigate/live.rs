@@ -1,6 +1,6 @@
 //! `wimu navigate LINK`.
 
-use serde::Serialize;
+use serde_json::{Value, json};
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
@@ -19,65 +19,43 @@ const LATE_S: f64 = 0.5;
 /// Longest, s.
 const MOST_LATE_S: f64 = 2.0;
 
-/// A position, as `--json` prints it.
-#[derive(Serialize)]
-struct Pose {
-    /// Device clock.
-    time_s: f64,
-    position_m: [f64; 3],
-    sigma_m: [f64; 3],
-    velocity_m_s: [f64; 3],
-    velocity_sigma_m_s: [f64; 3],
-    /// W, X, Y, Z, body axes to east-north-up.
-    quaternion: [f64; 4],
-    /// About east, north and up.
-    attitude_sigma_rad: [f64; 3],
-    resting: bool,
-    valid: bool,
+/// A position, as `--json` prints it: time by the device's clock, W, X, Y, Z from body axes to east-north-up, and σ of the
+/// attitude about east, north and up.
+fn object(point: &PathPoint) -> Value {
+    json!({
+        "time_s": point.time_s,
+        "position_m": point.position_m,
+        "sigma_m": point.sigma_m(),
+        "velocity_m_s": point.velocity_mps,
+        "velocity_sigma_m_s": point.velocity_sd_mps,
+        "quaternion": point.quaternion,
+        "attitude_sigma_rad": point.attitude_sd_rad,
+        "resting": point.resting,
+        "valid": point.valid,
+    })
 }
 
-impl Pose {
-    fn of(point: &PathPoint) -> Self {
-        Self {
-            time_s: point.time_s,
-            position_m: point.position_m,
-            sigma_m: point.sigma_m(),
-            velocity_m_s: point.velocity_mps,
-            velocity_sigma_m_s: point.velocity_sd_mps,
-            quaternion: point.quaternion,
-            attitude_sigma_rad: point.attitude_sd_rad,
-            resting: point.resting,
-            valid: point.valid,
+/// A position as a line, where so many headings are possible.
+fn line(point: &PathPoint, headings: usize) -> String {
+    let [e, n, u] = point.position_m;
+    let speed = point.velocity_mps.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let motion = if point.resting { "at rest".to_owned() } else { format!("{speed:.2} m/s") };
+    let note = match (point.valid, headings) {
+        (true, _) => String::new(),
+        (false, 2..) => {
+            format!("  not valid: {headings} headings are possible, keep moving")
         }
-    }
-
-    /// A line, where so many headings are possible.
-    fn text(&self, headings: usize) -> String {
-        let [e, n, u] = self.position_m;
-        let sd = self.sigma_m.iter().map(|s| s * s).sum::<f64>().sqrt();
-        let speed = self.velocity_m_s.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let motion = match self.resting {
-            true => "at rest".to_owned(),
-            false => format!("{speed:.2} m/s"),
-        };
-        let note = match (self.valid, headings) {
-            (true, _) => String::new(),
-            (false, 2..) => format!("  not valid: {headings} starts fit, move"),
-            (false, _) => "  not valid".to_owned(),
-        };
-        format!(
-            "{:8.2} s  E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m  {motion}{note}",
-            self.time_s
-        )
-    }
+        (false, _) => "  not valid".to_owned(),
+    };
+    let (time_s, sd_m) = (point.time_s, point.sd_m());
+    format!("{time_s:8.2} s  E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd_m:.3} m  {motion}{note}")
 }
 
 /// Navigates the samples of a board while they arrive.
 pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     corrected_there(arguments, link)?;
     let aids = &arguments.aids;
-    let read = [&aids.fixes, &aids.ranges, &aids.setup.anchors];
-    writable(arguments, read.into_iter().flatten())?;
+    writable(arguments)?;
     let mut choice = choice(arguments)?;
     let mut fixes = Aiding::of(aids, &mut choice)?;
     let mut client = connect(link)?;
@@ -94,8 +72,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
             && shown.is_due(newest_s)
             && let Some(point) = session.live.now()
         {
-            let pose = Pose::of(&point);
-            shown.show(newest_s, &pose, || pose.text(session.live.headings()));
+            shown.show(newest_s, &object(&point), || line(&point, session.live.headings()));
             points.push(point);
         }
         shown.say(fixes.findings());
@@ -136,7 +113,7 @@ impl Aiding {
             (Some(from), ..) | (_, Some(from), _) => from,
             (.., Some(_)) => {
                 let remedy = "give the ranges: --ranges FILE or LINK";
-                return Err(usage("anchors beside a board needs ranges", remedy));
+                return Err(usage("anchors beside a board need ranges", remedy));
             }
             _ => return Ok(Self::None),
         };
@@ -261,6 +238,11 @@ impl Beside {
     pub fn take(&mut self, arrival: &Arrival) -> Result<()> {
         self.fixes.give(&mut self.session);
         self.session.take(arrival).map(drop)
+    }
+
+    /// The latest position fixes, m, and whether each was used.
+    pub fn fixes(&self) -> Vec<([f64; 3], bool)> {
+        self.session.live.fixes().copied().collect()
     }
 
     /// Where the unit is, and what happened to fixes and ranges.

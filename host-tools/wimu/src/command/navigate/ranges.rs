@@ -7,18 +7,10 @@ use wimu_host::{Code, Result};
 
 use super::inertial;
 use crate::arguments::{Navigate, Smoothing};
-use crate::command::not_over_input;
 use crate::output::Output;
 
 /// Localizes, prints and writes.
 pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> {
-    let others = [&arguments.aids.ranges, &arguments.odometry];
-    for written in [&arguments.output, &arguments.report] {
-        let others = others.into_iter().flatten().map(|file| file.as_path());
-        for read in others.chain([anchors]) {
-            not_over_input(read, written.as_deref())?;
-        }
-    }
     let ranges = arguments.aids.ranges.as_ref().unwrap_or(&arguments.input);
     let mut recording =
         RangeRecording::read(ranges, anchors)?.delayed(arguments.aids.setup.fix_delay_s);

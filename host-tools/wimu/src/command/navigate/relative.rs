@@ -2,35 +2,13 @@
 
 mod live;
 
-use serde::Serialize;
-use wimu_host::relative::{Clock, Hinge, RelativeChoice, RelativePath, relative};
+use serde_json::{Value, json};
+use wimu_host::relative::{RelativeChoice, RelativePath, relative};
 use wimu_host::{Input, Result};
 
 use super::inertial;
 use crate::arguments::Navigate;
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
-
-/// The rotation, as `--json` prints it.
-#[derive(Serialize)]
-struct Found {
-    sources: [String; 2],
-    duration_s: f64,
-    final_angle_deg: f64,
-    final_sigma_deg: f64,
-    /// B's axes to A's, W X Y Z.
-    final_quaternion: [f64; 4],
-    least_angle_deg: f64,
-    largest_angle_deg: f64,
-    median_sigma_deg: f64,
-    valid_share: f64,
-    /// Whether axis and angle are accurate enough.
-    accurate: bool,
-    hinge: Hinge,
-    lever_arms_m: [[f64; 3]; 2],
-    joint_nis: f64,
-    clock: Clock,
-}
 
 /// Computes, prints and writes the angle.
 pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
@@ -48,9 +26,6 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     };
     if let [Ok(Input::Link(a)), Ok(Input::Link(b))] = links {
         return live::run(arguments, [a, b], choice, output);
-    }
-    for written in [&arguments.output, &arguments.report] {
-        not_over_input(other, written.as_deref())?;
     }
     let calibrations = &arguments.with;
     if calibrations.len() == 1 || calibrations.len() > 2 {
@@ -88,24 +63,25 @@ fn present(
     Ok(())
 }
 
-fn object(sources: [String; 2], found: RelativePath) -> Found {
+/// The rotation, as `--json` prints it: quaternions W, X, Y, Z from the axes of B to those of A.
+fn object(sources: [String; 2], found: RelativePath) -> Value {
     let last = found.valid().next_back();
     let ends = found.points.first().zip(found.points.last());
     let [least, largest] = found.range_rad().map(f64::to_degrees);
-    Found {
-        sources,
-        duration_s: ends.map_or(0.0, |(first, last)| last.time_s - first.time_s),
-        final_angle_deg: last.map_or(f64::NAN, |p| p.angle_rad.to_degrees()),
-        final_sigma_deg: last.map_or(f64::NAN, |p| p.sigma_rad.to_degrees()),
-        final_quaternion: last.map(|p| p.quaternion).unwrap_or_default(),
-        least_angle_deg: least,
-        largest_angle_deg: largest,
-        median_sigma_deg: found.median_sigma_rad().to_degrees(),
-        valid_share: found.valid().count() as f64 / found.points.len() as f64,
-        accurate: found.is_accurate(),
-        hinge: found.hinge,
-        lever_arms_m: found.lever_arms_m,
-        joint_nis: found.joint_nis,
-        clock: found.clock,
-    }
+    json!({
+        "sources": sources,
+        "duration_s": ends.map_or(0.0, |(first, last)| last.time_s - first.time_s),
+        "final_angle_deg": last.map_or(f64::NAN, |p| p.angle_rad.to_degrees()),
+        "final_sigma_deg": last.map_or(f64::NAN, |p| p.sigma_rad.to_degrees()),
+        "final_quaternion": last.map(|p| p.quaternion).unwrap_or_default(),
+        "least_angle_deg": least,
+        "largest_angle_deg": largest,
+        "median_sigma_deg": found.median_sigma_rad().to_degrees(),
+        "valid_share": found.valid().count() as f64 / found.points.len() as f64,
+        "accurate": found.is_accurate(),
+        "hinge": found.hinge,
+        "lever_arms_m": found.lever_arms_m,
+        "joint_nis": found.joint_nis,
+        "clock": found.clock,
+    })
 }

@@ -1,12 +1,9 @@
 //! What is printed and checked while boards send.
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 use wimu_host::{Problem, Result};
 
 use crate::arguments::Navigate;
-use crate::command::not_over_input;
 use crate::output::{Output, usage};
 
 /// Answers a second without `--rate`.
@@ -96,15 +93,9 @@ pub fn corrected_there(arguments: &Navigate, link: &str) -> Result<()> {
     Err(usage("a board corrects its samples itself", remedy))
 }
 
-/// Refuses outputs over these inputs, and in folders that do not exist, before hours of measuring.
-pub fn writable<'a>(
-    arguments: &Navigate,
-    inputs: impl Iterator<Item = &'a PathBuf> + Clone,
-) -> Result<()> {
+/// Refuses outputs in folders that do not exist, before hours of measuring.
+pub fn writable(arguments: &Navigate) -> Result<()> {
     for file in [&arguments.output, &arguments.report].into_iter().flatten() {
-        for read in inputs.clone() {
-            not_over_input(read, Some(file))?;
-        }
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
         if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
             let message = format!("there is no folder {}", folder.display());

@@ -71,7 +71,14 @@ const server = {
     topics[kind]?.(message.value, rest.join("/"));
   },
 };
-const say = (what, bad = false) => { text($("message"), what); $("message").className = bad ? "bad" : ""; };
+// A notice, which goes away by itself or with a click.
+let notice = 0;
+const say = (what, bad = false) => {
+  text($("message"), what);
+  $("message").className = bad ? "bad" : "";
+  clearTimeout(notice);
+  if (what) notice = setTimeout(() => say(""), bad ? 20000 : 8000);
+};
 // Asks, and shows what went wrong.
 const request = (what, board) => server.ask(what, board).catch((error) => { say(error, true); throw error; });
 const act = (what, board) => request(what, board).then((value) => { if (typeof value === "string") say(value); return value; }, () => {});
@@ -224,6 +231,7 @@ function canvasOf(canvas) {
 // A board of which `place` gives where a point of its body is in the room, with the names of its X, Y and Z sides.
 function drawBody(canvas, place, names = ["X", "Y", "Z"]) {
   const { g, colour, w, h } = canvasOf(canvas), scale = Math.min(w, h) / 2.7;
+  if (w < 200) names = ["X", "Y", "Z"];
   const at = (v) => { const [x, y, near] = seen(place(v)); return [w / 2 + scale * x, h / 2 - scale * y, near]; };
   const half = [0.75, 0.5, 0.07];
   // The floor below it.
@@ -318,6 +326,46 @@ function plotIn(parent, chart) {
   return plot;
 }
 
+// ---- Spectrum
+
+// The discrete Fourier transform in place, of a power of two.
+function fourier(re, im) {
+  const n = re.length;
+  for (let k = 1, j = 0; k < n; k++) {
+    let bit = n >> 1;
+    for (; j & bit; bit >>= 1) j ^= bit;
+    j ^= bit;
+    if (k < j) { [re[k], re[j]] = [re[j], re[k]]; [im[k], im[j]] = [im[j], im[k]]; }
+  }
+  for (let size = 2; size <= n; size *= 2) for (let start = 0; start < n; start += size) for (let k = 0; k < size / 2; k++) {
+    const angle = (-2 * Math.PI * k) / size, [c, s] = [Math.cos(angle), Math.sin(angle)], a = start + k, b = a + size / 2;
+    const [x, y] = [c * re[b] - s * im[b], c * im[b] + s * re[b]];
+    [re[b], im[b], re[a], im[a]] = [re[a] - x, im[a] - y, re[a] + x, im[a] + y];
+  }
+}
+
+// Amplitude spectral density of the latest samples of a channel: Welch's mean over Hann windows that overlap by half; none across
+// a gap. Null where there are too few.
+function spectrum(ring, channel) {
+  const from = Math.max(0, ring.count - 8192), all = ring.count - from;
+  const period = all > 1 ? (ring.last() - ring.at(from)) / (all - 1) : 0, n = 2 ** Math.floor(Math.log2(Math.min(1024, all / 2)));
+  if (n < 64 || !(period > 0)) return null;
+  const sum = new Float64Array(n / 2);
+  let windows = 0;
+  for (let start = ring.count - n; start >= from; start -= n / 2) {
+    if (Math.abs(ring.at(start + n - 1) - ring.at(start) - (n - 1) * period) > 2 * period) continue;
+    const re = Float64Array.from({ length: n }, (_, k) => ring.v[channel][(start + k) % Ring.SIZE]), im = new Float64Array(n);
+    const mean = re.reduce((a, b) => a + b) / n;
+    re.forEach((v, k) => (re[k] = (v - mean) * (0.5 - 0.5 * Math.cos((2 * Math.PI * k) / n))));
+    fourier(re, im);
+    for (let k = 0; k < n / 2; k++) sum[k] += re[k] ** 2 + im[k] ** 2;
+    windows++;
+  }
+  // The mean square of the window is 3/8; both halves of the spectrum are in one.
+  const density = (k) => Math.sqrt((sum[k] * 2 * period) / (0.375 * n * windows)), bins = [...sum.keys()].slice(1);
+  return windows ? { x: bins.map((k) => k / (n * period)), y: bins.map(density), rate: 1 / period } : null;
+}
+
 // ---- Views. Each makes the card of a board, whose `draw` brings it up to date.
 
 const head = (board) => {
@@ -352,7 +400,17 @@ function liveCard(board) {
   const replay = el("div", { className: "row" });
   const close = el("button", { textContent: "Close", title: "Disconnect this board", onclick: () => board.ask({ do: "close" }) });
   const force = plotIn(plots, { title: "Specific force", x: "time, s", y: "m/s²", series: [] });
-  let rate = null, shownReplay = false;
+  const channels = ["X", "Y", "Z", "|f|", "ω X", "ω Y", "ω Z"];
+  const of = el("select", { ariaLabel: "Spectrum of", onchange: () => { vibration?.figure.remove(); vibration = null; drawView(true); } });
+  let rate = null, vibration = null, computed = 0, shownReplay = false;
+  const drawSpectrum = () => {
+    const now = performance.now(), k = +of.value, found = of.value !== "" && now - computed > 500 ? spectrum(board.ring, k) : null;
+    if (!found) return;
+    computed = now;
+    const chart = { title: `Spectrum of ${channels[k]}, sampled at ${significant(found.rate)} Hz`, x: "frequency, Hz", y: k < 4 ? "m/s²/√Hz" : "rad/s/√Hz", logY: true, series: [{ name: channels[k], style: "line", ...found }] };
+    vibration ??= plotIn(plots, chart);
+    vibration.set(chart);
+  };
   const curves = (plot, title, unit, channels, names) => {
     const [from, to] = plot.chart.rangeX && plot.zoomed() ? plot.view.x : [board.ring.last() - span, board.ring.last()];
     const { x, y } = board.ring.window(from, to, channels, 2 * Math.max(plot.canvas.clientWidth, 300));
@@ -389,6 +447,8 @@ function liveCard(board) {
         rate ??= plotIn(plots, { title: "Angular rate", x: "time, s", y: "rad/s", series: [] });
         curves(rate, "Angular rate", "rad/s", [4, 5, 6], ["X", "Y", "Z"]);
       }
+      if (of.options.length !== ring.v.length + 1) of.replaceChildren(el("option", { value: "", textContent: "none" }), ...channels.slice(0, ring.v.length).map((name, k) => el("option", { value: k, textContent: name })));
+      drawSpectrum();
       if (board.fresh && board.at) {
         latencies.push(performance.timeOrigin + performance.now() - board.at);
         if (latencies.length > 300) latencies.shift();
@@ -396,7 +456,7 @@ function liveCard(board) {
       board.fresh = false;
     }
   };
-  return { element: el("article", {}, top.element, figures, el("div", { className: "row" }, el("label", {}, "Time shown", choose), record, close), replay, plots), draw };
+  return { element: el("article", {}, top.element, figures, el("div", { className: "row" }, el("label", {}, "Time shown", choose), el("label", {}, "Spectrum", of), record, close), replay, plots), draw };
 }
 
 function replayControls(board) {
@@ -436,7 +496,7 @@ function spaceCard(board) {
     if (q) drawBody(canvas, (v) => turned(q, v));
     else if (up) { const u = unit(up); drawBody(canvas, (v) => raised(v, u)); }
     const angles = q ? euler(q).map((a) => signed(a, 0) + "°") : null;
-    const label = angles ? `roll ${angles[0]}, pitch ${angles[1]}, yaw ${angles[2]}` : up ? `tilt ${fixed(degrees(unit(up), [0, 0, 1]), 0)}° (from gravity; heading is not known)` : "";
+    const label = angles ? `roll ${angles[0]}, pitch ${angles[1]}, yaw ${angles[2]}; W ${q.map((v) => signed(v, 3)).join("  ").replace(/  /, " X ").replace(/  /, " Y ").replace(/  /, " Z ")}` : up ? `tilt ${fixed(degrees(unit(up), [0, 0, 1]), 0)}° (from gravity; heading is not known)` : "";
     text(attitude, label);
     canvas.setAttribute("aria-label", "the board: " + label);
     const n = state.navigated;
@@ -543,7 +603,7 @@ function calibrateCard(board) {
       push.disabled = write.disabled = !view.usable;
       return;
     }
-    const names = [0, 2, 4].map((k) => { const name = view.sides[k].replace(/ up$/, ""); return name.length > 1 ? name : "XYZ"[k / 2]; });
+    const names = [0, 2, 4].map((k) => view.sides[k].replace(/^\+(.) side$/, "$1"));
     if (view.next) {
       drawBody(next, (v) => raised(v, view.next), names);
       if (view.up) { const vertical = raised(view.up, view.next); drawBody(now, (v) => raised(raised(v, view.next), vertical), names); }
@@ -558,11 +618,11 @@ function calibrateCard(board) {
       tilt.progress.value = 1 - angle / 180;
       const missing = view.next.map((v, k) => v - dot(view.up, view.next) * view.up[k]);
       const axis = [0, 1, 2].reduce((a, b) => (Math.abs(missing[b]) > Math.abs(missing[a]) ? b : a));
-      text(tilt.words, angle <= 10 ? `${fixed(angle, 0)}° from it: reached` : `${fixed(angle, 0)}° from it: tilt it towards ${view.sides[2 * axis + (missing[axis] < 0)]}`);
+      text(tilt.words, angle <= 10 ? `${fixed(angle, 0)}° from it: reached` : `${fixed(angle, 0)}° from it: raise its ${view.sides[2 * axis + (missing[axis] < 0)]}`);
     }
     const held = view.hold.holding;
     hold.progress.value = held ? held[0] / held[1] : view.hold === "captured" ? 1 : 0;
-    text(hold.words, held ? `still: ${fixed(Math.max(held[1] - held[0], 0), 1)} s more` : { waiting: "waiting for samples", moving: "moving: hold it still", captured: "captured: turn it to the next orientation" }[view.hold]);
+    text(hold.words, held ? `still: ${fixed(Math.max(held[1] - held[0], 0), 1)} s more` : { waiting: "waiting for samples", moving: "moving: hold it still", captured: "captured: rotate it to the next orientation" }[view.hold]);
     resume.hidden = !view.resumable;
     const latest = view.uncertainty.at(-1);
     if (!latest) return;
@@ -607,6 +667,48 @@ function parametersCard(board) {
     el("div", { className: "row" }, choose, compare, push), verdict, change.element), draw };
 }
 
+function settingsCard(board) {
+  const top = head(board), form = el("div", { className: "settings" }), result = el("p", { className: "soft", ariaLive: "polite" });
+  const number = (name) => el("input", { type: "number", min: 1, ariaLabel: name, size: 6 });
+  const option = (name, list) => el("select", { ariaLabel: name }, ...list.map((value) => el("option", { value, textContent: value })));
+  const carried = ["raw", "corrected", "navigation", "environment"];
+  const streams = (link) => el("span", { className: "row" }, ...carried.map((name) => el("label", {}, el("input", { type: "checkbox", value: name, ariaLabel: `${name} on the ${link}` }), name)));
+  const checked = (boxes) => [...boxes.querySelectorAll("input")].filter((box) => box.checked).map((box) => box.value).join(",") || "none";
+  const check = (boxes, names) => boxes.querySelectorAll("input").forEach((box) => (box.checked = names.includes(box.value)));
+  // The option of `wimu device settings set`, its label, its control, and how the control is set and read.
+  const rows = [
+    ["range", "Full-scale range, ± g", number("range"), (held) => held.range_g],
+    ["rate", "Output data rate, Hz", number("rate"), (held) => held.rate_hz],
+    ["resolution", "Resolution", option("resolution", ["low", "normal", "high"]), (held) => held.resolution],
+    ["zupt", "Zero-velocity updates", option("zero-velocity updates", ["on", "off"]), (held) => (held.zupt ? "on" : "off")],
+    ...["cable", "wireless"].flatMap((link, k) => [
+      [link, `Streams on the ${link}`, streams(link), (held) => held[link].join(",") || "none"],
+      ["batch", `Samples per batch, ${link}`, number(`batch, ${link}`), (held) => held.batch[k], link],
+      ["every", `Decimation, ${link}`, number(`decimation, ${link}`), (held) => Math.max(held.every[k], 1), link],
+    ]),
+  ].map(([name, label, control, of, link]) => {
+    form.append(el("div", {}, el("span", { textContent: label }), control));
+    const boxes = control.tagName === "SPAN";
+    return { name, of, link, get: () => (boxes ? checked(control) : control.value), set: (value) => (boxes ? check(control, value.split(",")) : (control.value = value)) };
+  });
+  let held = null, asked = false;
+  const show = (found) => { if (!found) return; held = found; rows.forEach((row) => row.set(String(row.of(found)))); };
+  const read = () => board.ask({ do: "settings", options: [] }).then(show);
+  const write = async () => {
+    const changes = rows.filter((row) => row.get() !== String(row.of(held)));
+    if (!changes.length) return text(result, "nothing has changed");
+    const found = await board.ask({ do: "settings", options: changes.map(({ name, link, get }) => `--${name}=${link ? link + "=" : ""}${get()}`) });
+    text(result, found ? "written: the board holds what is shown" : "not written");
+    show(found);
+  };
+  const draw = () => {
+    top.draw();
+    if (!board.state || board.state.replay) return text(result, "A recording has no settings.");
+    if (!asked && server.writes) { asked = true; read(); }
+  };
+  return { element: el("article", {}, top.element, form, el("div", { className: "row" }, el("button", { textContent: "Write to the board", className: "main", onclick: () => held && write() }), el("button", { textContent: "Read again", onclick: read })), result), draw };
+}
+
 // The view of files is one card a file, and a list.
 function fileCard(name) {
   const title = el("h2", { textContent: name }), about = el("p", { className: "soft" }), plots = el("div"), findings = el("ul", { className: "soft" });
@@ -625,11 +727,25 @@ function fileCard(name) {
   return { element: el("article", {}, title, about, plots, findings), draw };
 }
 
+// Sends a file in pieces, which the server writes to its folder and opens.
+async function upload(file) {
+  const size = 36000;
+  for (let at = 0; at === 0 || at < file.size; at += size) {
+    const bytes = new Uint8Array(await file.slice(at, at + size).arrayBuffer());
+    say(`${file.name}: ${Math.round((100 * at) / Math.max(file.size, 1))} % sent`);
+    await request({ do: "upload", file: file.name, at, data: btoa(String.fromCharCode(...bytes)), last: at + size >= file.size });
+  }
+  say(`${file.name} is in the folder of the dashboard`);
+  choose("files");
+}
+const uploads = async (list) => { for (const file of list) await upload(file).catch(() => {}); };
+
 function fileList() {
   const body = el("tbody"), note = el("p", { className: "soft" });
+  const add = el("input", { type: "file", multiple: true, ariaLabel: "Add files", onchange: () => uploads(add.files) });
   const size = (bytes) => (bytes < 1e6 ? `${significant(bytes / 1e3)} kB` : `${significant(bytes / 1e6)} MB`);
   const draw = () => {
-    text(note, topics.folder ? `Files of ${topics.folder}` : "");
+    text(note, topics.folder ? `Files of ${topics.folder}. Drop one on the page to add it.` : "");
     const key = JSON.stringify(listed);
     if (body.key === key) return;
     body.key = key;
@@ -638,10 +754,10 @@ function fileList() {
       el("td", {}, el("div", { className: "row end" }, el("button", { textContent: "Show", onclick: () => act({ do: "open", file: file.name }) }),
         /\.mcap$/i.test(file.name) ? el("button", { textContent: "Replay", onclick: () => act({ do: "open", file: file.name }).then(() => act({ do: "play", file: file.name })).then(() => choose("live")) }) : null)))));
   };
-  return { element: el("article", {}, note, el("div", { className: "table" }, el("table", {}, body))), draw };
+  return { element: el("article", {}, note, add, el("div", { className: "table" }, el("table", {}, body))), draw };
 }
 
-const views = { live: ["Live", liveCard], space: ["Orientation & path", spaceCard], noise: ["Noise", noiseCard], links: ["Links", linksCard], calibrate: ["Calibrate", calibrateCard], parameters: ["Parameters", parametersCard], files: ["Recordings", null] };
+const views = { live: ["Live", liveCard], space: ["Orientation & path", spaceCard], noise: ["Noise", noiseCard], links: ["Links", linksCard], calibrate: ["Calibrate", calibrateCard], parameters: ["Parameters", parametersCard], settings: ["Settings", settingsCard], files: ["Recordings", null] };
 const sections = {}, fileCards = new Map();
 let view = "live", due = false;
 
@@ -713,6 +829,14 @@ function start() {
   });
   const pause = () => { paused = !paused; $("pause").setAttribute("aria-pressed", paused); text($("pause"), paused ? "Go on" : "Pause"); drawView(true); };
   $("pause").onclick = pause;
+  $("message").onclick = () => say("");
+  const carries = (event) => event.dataTransfer?.types.includes("Files");
+  addEventListener("dragover", (event) => { if (carries(event)) { event.preventDefault(); document.body.classList.add("drop"); } });
+  addEventListener("dragleave", (event) => { if (!event.relatedTarget) document.body.classList.remove("drop"); });
+  addEventListener("drop", (event) => {
+    document.body.classList.remove("drop");
+    if (carries(event)) { event.preventDefault(); uploads([...event.dataTransfer.files]); }
+  });
   $("help").onclick = () => $("keys").showModal();
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;

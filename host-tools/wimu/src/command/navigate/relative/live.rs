@@ -3,7 +3,7 @@
 use std::sync::mpsc::{self, Sender};
 use std::thread;
 
-use serde::Serialize;
+use serde_json::{Value, json};
 use wimu_host::decode::{Arrival, Event};
 use wimu_host::monitor::Readings;
 use wimu_host::motion::{MotionRecording, UnitSample};
@@ -17,42 +17,27 @@ use crate::arguments::Navigate;
 use crate::command::{Connection, connect, interrupted, listen_until};
 use crate::output::{Output, usage};
 
-/// A rotation, as `--json` prints it.
-#[derive(Serialize)]
-struct Angle {
-    /// Clock of the first unit.
-    time_s: f64,
-    angle_deg: f64,
-    sigma_deg: f64,
-    /// B's axes to A's, W, X, Y, Z.
-    quaternion: [f64; 4],
-    attitude_sigma_deg: [f64; 3],
-    /// Whether axis and angle are accurate enough.
-    accurate: bool,
-    valid: bool,
+/// A rotation, as `--json` prints it: time by the clock of the first unit, W, X, Y, Z from the axes of B to those of A.
+fn object(point: &RelativePoint, accurate: bool) -> Value {
+    json!({
+        "time_s": point.time_s,
+        "angle_deg": point.angle_rad.to_degrees(),
+        "sigma_deg": point.sigma_rad.to_degrees(),
+        "quaternion": point.quaternion,
+        "attitude_sigma_deg": point.attitude_sd_rad.map(f64::to_degrees),
+        "accurate": accurate,
+        "valid": point.valid,
+    })
 }
 
-impl Angle {
-    fn of(point: &RelativePoint, accurate: bool) -> Self {
-        Self {
-            time_s: point.time_s,
-            angle_deg: point.angle_rad.to_degrees(),
-            sigma_deg: point.sigma_rad.to_degrees(),
-            quaternion: point.quaternion,
-            attitude_sigma_deg: point.attitude_sd_rad.map(f64::to_degrees),
-            accurate,
-            valid: point.valid,
-        }
-    }
-
-    fn text(&self) -> String {
-        let note = match (self.valid, self.accurate) {
-            (false, _) => "  not valid: a unit is silent",
-            (true, false) => "  not accurate yet: turn the joint through its range",
-            _ => "",
-        };
-        format!("{:8.2} s  {:+.1}° ± {:.1}°{note}", self.time_s, self.angle_deg, self.sigma_deg)
-    }
+fn line(point: &RelativePoint, accurate: bool) -> String {
+    let note = match (point.valid, accurate) {
+        (false, _) => "  not valid: a unit is silent",
+        (true, false) => "  not accurate yet: move the joint through its range",
+        _ => "",
+    };
+    let [angle, sigma] = [point.angle_rad, point.sigma_rad].map(f64::to_degrees);
+    format!("{:8.2} s  {angle:+.1}° ± {sigma:.1}°{note}", point.time_s)
 }
 
 /// What a unit sends.
@@ -71,7 +56,7 @@ pub fn run(
 ) -> Result<()> {
     let names = links.map(|link| link.to_string());
     corrected_there(arguments, &names[0])?;
-    writable(arguments, std::iter::empty())?;
+    writable(arguments)?;
     let clients = [connect(&names[0])?, connect(&names[1])?];
     if clients[0].hello().device_id == clients[1].hello().device_id {
         let remedy = "give a LINK of each of two boards";
@@ -99,7 +84,7 @@ pub fn run(
                 }
                 Message::Restart => {
                     output.print(format!(
-                        "{} has restarted: turn the joint again",
+                        "{} has restarted: move the joint again",
                         names[body as usize]
                     ));
                     live = begin();
@@ -111,8 +96,9 @@ pub fn run(
             }
             for point in live.take() {
                 if shown.is_due(point.time_s) {
-                    let angle = Angle::of(&point, live.is_accurate());
-                    shown.show(point.time_s, &angle, || angle.text());
+                    let accurate = live.is_accurate();
+                    let object = object(&point, accurate);
+                    shown.show(point.time_s, &object, || line(&point, accurate));
                     points.push(point);
                 }
             }
@@ -126,7 +112,7 @@ pub fn run(
     let Some(path) = live.path(points) else {
         ended?;
         let message =
-            "no angle within the time: the first needs eight seconds in which the joint turns";
+            "no angle within the time: the first needs eight seconds of motion of the joint";
         return Err(live
             .lacks()
             .cloned()

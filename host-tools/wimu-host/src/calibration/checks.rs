@@ -141,10 +141,14 @@ impl Context<'_> {
         if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
             let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
             let datasheet = options.datasheet.or(data.datasheet());
-            return reason + " Instead: " + &likely_sensitivity(ratio, used_lsb_per_g, datasheet) + ".";
+            return reason
+                + " Instead: "
+                + &likely_sensitivity(ratio, used_lsb_per_g, datasheet)
+                + ".";
         }
         if looks_like_means(data, has) {
-            return reason + " The rows look like means over static poses: if they are, add --poses.";
+            return reason
+                + " The rows look like means over static poses: if they are, add --poses.";
         }
         if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
             let text = format!(" The sensor rotated all the time, at {deg_per_s:.0} °/s.");
@@ -160,7 +164,8 @@ impl Context<'_> {
             return reason;
         }
         if options.model != ModelChoice::Auto && has > Model::Bias3.parameters() {
-            return reason + " --model auto holds what they do not determine at typical tolerances.";
+            return reason
+                + " --model auto holds what they do not determine at typical tolerances.";
         }
         let is_up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
         if Face::ALL.iter().all(is_up) {

@@ -169,7 +169,8 @@ fn usual<T>(
         (0..3).map(|axis| (matrix[axis][axis] - 1.0).abs()).fold(0.0, f64::max)
     };
     let mut fits: Vec<_> = found.filter(|((estimate, _), _)| off(estimate) < USABLE).collect();
-    let least_rad = fits.iter().map(|((estimate, _), _)| estimate.rms_rad).fold(f64::INFINITY, f64::min);
+    let least_rad =
+        fits.iter().map(|((estimate, _), _)| estimate.rms_rad).fold(f64::INFINITY, f64::min);
     fits.retain(|((estimate, _), _)| estimate.rms_rad <= ALIKE * least_rad);
     fits.into_iter().min_by(|((a, _), _), ((b, _), _)| off(a).total_cmp(&off(b)))
 }

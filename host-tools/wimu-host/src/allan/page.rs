@@ -8,13 +8,13 @@ use super::sensor::Kind;
 use super::{AxisNoise, Figure, NoiseReport, SensorNoise};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::html::{Report, ToDocument};
+use crate::document::{Document, ToDocument};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
 impl ToDocument for NoiseReport {
-    fn document(&self) -> Report {
-        let mut document = Report::new(format!("Noise of {}", self.source));
+    fn document(&self) -> Document {
+        let mut document = Document::new(format!("Noise of {}", self.source));
         let seconds = self.samples as f64 / self.rate_hz;
         let [seconds, rate] = [seconds, self.rate_hz].map(|value| significant(value, 4));
         document.result(&format!("{}: {seconds} s at rest, {rate} Hz", self.source));
@@ -40,7 +40,7 @@ impl NoiseReport {
 
 impl SensorNoise {
     /// The noise terms of each axis.
-    fn terms(&self, document: &mut Report) {
+    fn terms(&self, document: &mut Document) {
         let Kind { density, white, walk, bias, .. } = self.kind;
         let columns = [
             ("noise density", density),
@@ -70,7 +70,7 @@ impl SensorNoise {
     }
 
     /// The Allan deviation as a table.
-    fn curve(&self, document: &mut Report) {
+    fn curve(&self, document: &mut Document) {
         let unit = &self.kind.deviation;
         let rows = self.points.iter().map(|point| {
             let [x, y, z] = point.deviation.map(|d| significant(d * unit.per_si, 4));

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::chart::{Chart, Series};
 use crate::digits::{significant, with_sd};
-use crate::html::Report;
+use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, Severity};
 use crate::recording::{OutputUnit, Samples};
@@ -405,7 +405,7 @@ impl fmt::Display for SeveralReport {
 
 impl SeveralReport {
     /// A page: the difference of each session's bias from the combination, and the residuals of each session.
-    pub fn page(&self) -> Report {
+    pub fn page(&self) -> Document {
         let names: Vec<String> = self.sessions.iter().map(|s| s.source.clone()).collect();
         let title = format!("Calibration of {}", names.join(", "));
         let mut page = page(title, &self.outcome, &self.to_string(), 0);

@@ -8,7 +8,7 @@ use serde_json::json;
 use wimu_host::chart::{self, Chart, Series};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::digits::significant;
-use wimu_host::html::Report;
+use wimu_host::document::Document;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
 use wimu_host::{Code, OutputFile, Result};
@@ -281,8 +281,8 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     [("tilts", tilts), ("slide", slide)]
 }
 
-fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Report {
-    let mut report = Report::new("wimu demo");
+fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Document {
+    let mut report = Document::new("wimu demo");
     let exact = outcome.replays.iter().all(|replay| replay.is_exact());
     let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
     let slide =

@@ -114,7 +114,7 @@ impl From<&Estimate> for AccelerometerCalibration {
 /// The mean output at a rest is b + G f. From one rest to the next the corrected rate rotates the
 /// direction of gravity, which the accelerometer measures at both: a rotation about the vertical shows
 /// nothing. Least squares with a prior from datasheets; what is not observed stays at the prior.
-/// Equations (143) to (149) of docs/EQUATIONS.md, method of Tedaldi and others (ICRA 2014).
+/// Equations (143) to (149) of docs/reference/equations, method of Tedaldi and others (ICRA 2014).
 #[derive(Clone, Copy, Debug)]
 pub struct GyroscopeSession<'a> {
     /// The rests, in order: output of the accelerometer, first sample and number of samples.

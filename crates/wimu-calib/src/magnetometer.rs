@@ -79,7 +79,7 @@ impl MagneticEstimate {
 }
 
 /// Estimates hard and soft iron from the constant magnitude of the field, and the rotation to the
-/// accelerometer from its constant dip. Equations (55) to (57) of docs/EQUATIONS.md. Outliers are
+/// accelerometer from its constant dip. Equations (55) to (57) of docs/reference/equations. Outliers are
 /// rejected: at most every fifth pose, and only while twelve remain.
 ///
 /// A magnetometer with one axis negated, or two exchanged, is equivalent to a correct one in a

@@ -171,7 +171,7 @@ fn cluster(place: usize) -> u64 {
 }
 
 /// Allan deviation of a stream of samples at rest, and the noise model fitted to it. Equations (52)
-/// and (53) of docs/EQUATIONS.md.
+/// and (53) of docs/reference/equations.
 ///
 /// Averaging times are 1, 2, 4, 8, … samples. Clusters start at every sample up to 8 samples,
 /// beyond at every eighth of their length, which loses less than 1 % of the information. Memory (13

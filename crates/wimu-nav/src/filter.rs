@@ -1,5 +1,5 @@
 //! Error-state Schmidt–Kalman filter: prediction, update and test, for any process and sensor. Equations (117) to (121) of
-//! docs/EQUATIONS.md.
+//! docs/reference/equations.
 
 use alloc::boxed::Box;
 use alloc::vec::Vec;

@@ -1,4 +1,4 @@
-//! A board to copy. The numbers are the steps of docs/PORTING.md.
+//! A board to copy. The numbers are the steps of docs/reference/boards/porting.md.
 
 #![no_std]
 #![no_main]

@@ -67,13 +67,13 @@ enum Task {
     Python,
     /// Run the fast tests of wimu-link and wimu-node under Miri
     Miri,
-    /// Long statistics in release, written to docs/validation; commands with fresh results are left out
+    /// Long statistics in release, written to docs/reference/validation; commands with fresh results are left out
     Campaign {
         name: String,
         #[arg(long, default_value_t = 0)]
         seed: u64,
     },
-    /// Write docs/VALIDATION.md from docs/validation
+    /// Write docs/reference/validation.md from docs/reference/validation
     Validation,
 }
 

@@ -13,7 +13,7 @@ use wimu_sim::source::Physics;
 use wimu_sim::truth::{Gauge, SensorTruth};
 use wimu_tests::{ROLES, Rig, assert_replays, gaps, who_are_you};
 
-/// The navigation flag of a saturated gyroscope, as in docs/PROTOCOL.md.
+/// The navigation flag of a saturated gyroscope, as in docs/reference/protocol.md.
 const GYROSCOPE_SATURATED: u8 = 32;
 
 /// A board that is moved as [`motion::named`] says, with a sensor of these errors, and where it is.

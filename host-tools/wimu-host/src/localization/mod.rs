@@ -1,5 +1,5 @@
 //! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
-//! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/EQUATIONS.md.
+//! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/reference/equations.
 
 mod findings;
 mod hypotheses;

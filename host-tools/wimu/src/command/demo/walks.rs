@@ -16,7 +16,7 @@ const BLOCKED: f64 = 0.05;
 /// Corners of the walk on foot, m, east and north: a closed path of 96 m.
 pub const CORNERS_M: [[f64; 2]; 5] =
     [[0.0, 0.0], [34.0, 0.0], [34.0, 14.0], [0.0, 14.0], [0.0, 0.0]];
-/// Rate of the inertial samples, Hz: the least that docs/localization/feet.md names.
+/// Rate of the inertial samples, Hz: the least that docs/explanation/feet.md names.
 const RATE_HZ: f64 = 100.0;
 /// Interval of the fixes, s, and their standard deviation, m.
 const FIX_S: f64 = 5.0;
@@ -70,7 +70,7 @@ impl Walks {
         self.walk.truth.iter().flatten().map(|t| t.position_m)
     }
 
-    /// One picture for each guide in docs/localization.
+    /// One picture for each guide in docs/explanation.
     pub fn charts(&self) -> [(&'static str, Chart); 3] {
         let level = |p: [f64; 3]| (p[0], p[1]);
         let line = |name: &str, points: &[PathPoint]| {

@@ -112,11 +112,12 @@ const EXCLUDE: [(&str, &[&str]); 4] = [
 ];
 
 /// Those that need another.
-const NEED: [(&str, &[&str]); 9] = [
+const NEED: [(&str, &[&str]); 10] = [
     ("ranges", &["anchors"]),
     ("range_errors", &["anchors"]),
     ("survey_m", &["anchors"]),
     ("fix_delay_s", &["fixes", "ranges"]),
+    ("fix_time_sd_s", &["fixes", "ranges"]),
     ("refine", &["geometry"]),
     ("place_sd_mm", &["geometry"]),
     ("delay_sd_us", &["geometry"]),

@@ -1,10 +1,10 @@
-//! Fixes that arrive over a link, as lines of a table.
+//! Aids that arrive over a link, as lines of a table.
 
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
-use super::fixes::{Fix, Fixes};
+use super::aids::{Aid, Aids, Mounting};
 use crate::formats::table::Measurements;
 use crate::localization::Ranging;
 use crate::plural::counted;
@@ -44,27 +44,27 @@ impl LeastDelay {
     }
 }
 
-/// A link that carries fixes or ranges: the header of their table, then its lines. Without a column of times a measurement
+/// A link that carries aids or ranges: the header of their table, then its lines. Without a column of times a measurement
 /// is made when it arrives; with one, the least delayed is.
-pub struct FixLink {
+pub struct AidLink {
     name: String,
     /// Lines, and when they arrived on the clock of the host's links, s.
     lines: Receiver<(f64, Result<String>)>,
     header: Option<String>,
     clock: LeastDelay,
-    delay_s: f64,
+    mounting: Mounting,
     /// The anchors, of ranges.
     ranging: Option<Ranging>,
     unreadable: usize,
     finding: Option<Problem>,
 }
 
-impl FixLink {
-    /// Opens the link. A measurement is made `delay_s` before it arrives. With anchors it carries ranges to them.
+impl AidLink {
+    /// Opens the link. A measurement is made the delay of the mounting before it arrives. With anchors it carries ranges to them.
     ///
     /// # Errors
     /// Those of [`transport::open`].
-    pub fn open(link: &LinkUrl, delay_s: f64, ranging: Option<Ranging>) -> Result<Self> {
+    pub fn open(link: &LinkUrl, mounting: Mounting, ranging: Option<Ranging>) -> Result<Self> {
         let mut transport = transport::open(link)?;
         let (give, lines) = mpsc::sync_channel(MOST_LINES);
         thread::spawn(move || {
@@ -82,15 +82,15 @@ impl FixLink {
             lines,
             header: None,
             clock: LeastDelay::default(),
-            delay_s,
+            mounting,
             ranging,
             unreadable: 0,
             finding: None,
         })
     }
 
-    /// The fixes that have arrived, at times of the host's links.
-    pub fn arrived(&mut self) -> Vec<Fix> {
+    /// The aids that have arrived, at times of the host's links.
+    pub fn arrived(&mut self) -> Vec<Aid> {
         let mut found = Vec::new();
         for _ in 0..MOST_LINES {
             let Ok((arrived_s, line)) = self.lines.try_recv() else {
@@ -109,11 +109,11 @@ impl FixLink {
                 continue;
             };
             let text = format!("{header}\n{line}\n");
-            match self.fixes(&text, arrived_s) {
-                Ok(fixes) => found.extend(fixes.into_iter().map(|fix| {
-                    self.clock.see(fix.time_s, arrived_s);
+            match self.aids(&text, arrived_s) {
+                Ok(aids) => found.extend(aids.into_iter().map(|aid| {
+                    self.clock.see(aid.time_s, arrived_s);
                     let offset_s = self.clock.offset_s().unwrap_or_default();
-                    Fix { time_s: fix.time_s - offset_s - self.delay_s, ..fix }
+                    Aid { time_s: aid.time_s - offset_s - self.mounting.delay_s, ..aid }
                 })),
                 Err(error) => {
                     self.unreadable += 1;
@@ -133,13 +133,14 @@ impl FixLink {
         self.ranging.as_ref().map_or("fixes", |_| "ranges")
     }
 
-    fn fixes(&self, text: &str, arrived_s: f64) -> Result<Vec<Fix>> {
+    fn aids(&self, text: &str, arrived_s: f64) -> Result<Vec<Aid>> {
         let table = Measurements::of(&self.name, text)?;
+        let mounting = Mounting { delay_s: 0.0, ..self.mounting };
         match &self.ranging {
-            None => Ok(Fixes::of(&table, 0.0, Some(arrived_s))?.fixes),
+            None => Ok(Aids::of(&table, Some(arrived_s), &mounting)?.aids),
             Some(ranging) => {
                 let ranges = ranging.ranges(&table, arrived_s)?;
-                Ok(ranges.into_iter().map(Fix::from).collect())
+                Ok(ranges.iter().map(|range| range.aid(&mounting)).collect())
             }
         }
     }

@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use super::aids::{Aid, Aids, Mounting};
-use crate::csv::columns::Table;
+use crate::formats::table::Measurements;
 use crate::localization::Ranging;
 use crate::plural::counted;
 use crate::transport::{self, Transport};
@@ -134,7 +134,7 @@ impl AidLink {
     }
 
     fn aids(&self, text: &str, arrived_s: f64) -> Result<Vec<Aid>> {
-        let table = Table::of(self.name.clone(), text)?;
+        let table = Measurements::of(&self.name, text)?;
         let mounting = Mounting { delay_s: 0.0, ..self.mounting };
         match &self.ranging {
             None => Ok(Aids::of(&table, Some(arrived_s), &mounting)?.aids),

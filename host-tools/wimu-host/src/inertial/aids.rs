@@ -19,7 +19,7 @@
 //!     name: "altimeter",
 //!     one: "altitude",
 //!     columns: &[&["Altitude"]],
-//!     unit: &[("m", 1.0), ("ft", 0.3048)],
+//!     unit: &[(1.0, "m"), (0.3048, "ft")],
 //!     usual_sd: Some(0.3),
 //!     // The altitude of the origin, which the filter finds; it drifts with the weather.
 //!     states: &[State { name: "offset", unit: "m", sd: 500.0, walk: 0.01 }],
@@ -83,8 +83,8 @@ use wimu_nav::sensor::{Measurement, Timed};
 use wimu_nav::state::Block;
 
 use super::StartPose;
-use crate::csv::columns::{Column, TIME, Table};
 use crate::digits::significant;
+use crate::formats::table::{MeasuredColumn, Measurements, TIME};
 use crate::localization::{AnchorStates, Ranging};
 use crate::motion::other_clock;
 use crate::plural::counted;
@@ -112,8 +112,8 @@ pub struct Kind {
     /// Names of the column of each value, without the unit; none of a kind that is not read from a table. The column of
     /// σ has the word `Sigma` at the end, or before an axis.
     pub columns: &'static [&'static [&'static str]],
-    /// Names of units, and their size in SI units.
-    pub unit: &'static [(&'static str, f64)],
+    /// Size of units in SI units, and their names in lower case.
+    pub unit: &'static [(f64, &'static str)],
     /// σ without a column of it, in SI units; `None` where the model of the vehicle or of the ranges has it.
     pub usual_sd: Option<f64>,
     /// Whether a row needs all values.
@@ -134,7 +134,7 @@ impl Kind {
         name: "",
         one: "",
         columns: &[],
-        unit: &[("", 1.0)],
+        unit: &[(1.0, "")],
         usual_sd: None,
         is_whole: false,
         states: &[],
@@ -301,11 +301,15 @@ impl Aids {
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a measurement.
     pub fn read(path: &Path, mounting: &Mounting) -> Result<Self> {
-        Self::of(&Table::read(path)?, None, mounting)
+        Self::of(&Measurements::read(path)?, None, mounting)
     }
 
     /// Those of a table. `arrived_s`: the time of rows of a table without times.
-    pub(super) fn of(table: &Table, arrived_s: Option<f64>, mounting: &Mounting) -> Result<Self> {
+    pub(super) fn of(
+        table: &Measurements,
+        arrived_s: Option<f64>,
+        mounting: &Mounting,
+    ) -> Result<Self> {
         let time = match arrived_s {
             Some(_) => table.column(&["Time"], TIME),
             None => Some(table.needed(&["Time"], TIME)?),
@@ -316,7 +320,7 @@ impl Aids {
         }
         let mut all = Self { findings: noticed(table, time, &found), ..Self::default() };
         let mut not_positive = 0;
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let time_s = time.map_or(Ok(None), |time| table.value(row, time))?;
             let Some(time_s) = time_s.or(arrived_s) else {
                 continue;
@@ -437,13 +441,13 @@ impl Aids {
 /// The columns of a kind in a table.
 struct Columns {
     kind: &'static Kind,
-    values: Vec<Option<Column>>,
-    sds: Vec<Option<Column>>,
+    values: Vec<Option<MeasuredColumn>>,
+    sds: Vec<Option<MeasuredColumn>>,
 }
 
 impl Columns {
     /// `None` where the table has no value of the kind.
-    fn of(kind: &'static Kind, table: &Table) -> Option<Self> {
+    fn of(kind: &'static Kind, table: &Measurements) -> Option<Self> {
         let values = kind.columns.iter().map(|names| table.column(names, kind.unit));
         let sds = kind.columns.iter().map(|names| {
             let names: Vec<String> = names.iter().map(|name| sigma(name)).collect();
@@ -455,12 +459,18 @@ impl Columns {
     }
 
     /// The measurement of a row; `None` where none is filled in.
-    fn aid(&self, table: &Table, row: usize, not_positive: &mut usize) -> Result<Option<Aid>> {
+    fn aid(
+        &self,
+        table: &Measurements,
+        row: usize,
+        not_positive: &mut usize,
+    ) -> Result<Option<Aid>> {
         let usual = self.kind.usual_sd.unwrap_or_default();
         let mut aid = Aid::of(self.kind, 0.0, &[], usual);
         let mut measured = 0;
         for (k, (value, sd)) in self.values.iter().zip(&self.sds).enumerate() {
-            let read = |column: &Option<Column>| column.map_or(Ok(None), |c| table.value(row, c));
+            let read =
+                |column: &Option<MeasuredColumn>| column.map_or(Ok(None), |c| table.value(row, c));
             let (Some(value), sd) = (read(value)?, read(sd)?) else {
                 continue;
             };
@@ -488,7 +498,7 @@ fn sigma(name: &str) -> String {
 }
 
 /// What is said of the columns of a table.
-fn noticed(table: &Table, time: Option<Column>, found: &[Columns]) -> Vec<Problem> {
+fn noticed(table: &Measurements, time: Option<MeasuredColumn>, found: &[Columns]) -> Vec<Problem> {
     let mut findings = Vec::new();
     let used = found.iter().flat_map(|columns| columns.values.iter().chain(&columns.sds));
     let others = table.others(used.chain([&time]).copied().flatten());
@@ -508,7 +518,7 @@ fn noticed(table: &Table, time: Option<Column>, found: &[Columns]) -> Vec<Proble
             findings.push(Code::Navigation.warning(text));
         }
         if let (Some(sd), true) = (kind.usual_sd, sds.iter().all(Option::is_none)) {
-            let unit = kind.unit[0].0;
+            let unit = kind.unit[0].1.split(' ').next().unwrap_or_default();
             let text = format!(
                 "the {} have no standard deviation: {sd} {unit} is used",
                 several(kind.one)

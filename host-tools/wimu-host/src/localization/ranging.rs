@@ -14,7 +14,7 @@ use super::run::{SPEED_MPS, START_M};
 use super::start::{LEAST, LENGTH_S, candidates};
 use super::{AnchorPosition, RangePrior, RangeRecording, RangeSample, input};
 use crate::Result;
-use crate::csv::columns::Table;
+use crate::formats::table::Measurements;
 use crate::inertial::aids::{Aid, Outcome};
 
 /// Anchors in this many directions show a position, with a second one that may be its mirror image.
@@ -61,7 +61,7 @@ impl Ranging {
     }
 
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
-    pub(crate) fn ranges(&self, table: &Table, arrived_s: f64) -> Result<Vec<RangeSample>> {
+    pub(crate) fn ranges(&self, table: &Measurements, arrived_s: f64) -> Result<Vec<RangeSample>> {
         let (ranges, left_out) = input::samples(table, &self.anchors, &self.name, Some(arrived_s))?;
         match left_out.first().filter(|_| ranges.is_empty()) {
             Some(why) => Err(table.empty(&why.text, "check the names of the anchors")),

@@ -18,7 +18,7 @@ pub static PRESSURE: Kind = Kind {
     name: "pressure",
     one: "pressure",
     columns: &[&["Pressure"]],
-    unit: &[("Pa", 1.0), ("hPa", 100.0), ("mbar", 100.0), ("kPa", 1000.0)],
+    unit: &[(1.0, "pa"), (100.0, "hpa mbar"), (1000.0, "kpa")],
     usual_sd: Some(3.0),
     states: &[State { name: "height of the origin", unit: "m", sd: 2000.0, walk: 0.15 }],
     remedy: "check that the vent of the barometer is open and not in a draught",

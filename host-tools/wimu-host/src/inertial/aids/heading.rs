@@ -3,7 +3,7 @@
 use wimu_nav::sensor::Heading;
 
 use super::Kind;
-use crate::csv::columns::ANGLE;
+use crate::formats::table::ANGLE;
 
 /// Angle of the body x axis from east towards north. Usual σ: a compass.
 pub static HEADING: Kind = Kind {

@@ -4,7 +4,7 @@ use wimu_nav::filter::Gate;
 use wimu_nav::sensor::Position;
 
 use super::{Aid, Kind, Outcome, Update};
-use crate::csv::columns::LENGTH;
+use crate::formats::table::LENGTH;
 
 /// Position of an antenna. Usual σ: GNSS without corrections.
 pub static POSITION: Kind = Kind {

@@ -3,7 +3,7 @@
 use wimu_nav::sensor::Velocity;
 
 use super::Kind;
-use crate::csv::columns::NUMBER;
+use crate::formats::table::NUMBER;
 
 /// 1 while the velocity is zero, 0 while it is not known. Usual σ, m/s: that of a detected rest.
 pub static REST: Kind = Kind {

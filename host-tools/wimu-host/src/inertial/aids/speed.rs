@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{Aid, Aids, Kind, Mounting};
 use crate::Result;
-use crate::csv::columns::{LENGTH, SPEED as UNITS, TIME, Table};
+use crate::formats::table::{LENGTH, Measurements, SPEED as UNITS, TIME};
 
 /// Speed over ground, positive forward, with the profile of a vehicle; it has the noise of one.
 pub static SPEED: Kind = Kind {
@@ -26,14 +26,14 @@ impl Aids {
     /// # Errors
     /// Those of [`Aids::read`].
     pub fn read_odometry(path: &Path) -> Result<Self> {
-        let table = Table::read(path)?;
+        let table = Measurements::read(path)?;
         if table.column(&["Speed"], UNITS).is_some() {
             return Self::of(&table, None, &Mounting::default());
         }
         let time = table.needed(&["Time"], TIME)?;
         let distance = table.needed(&["Distance Increment"], LENGTH)?;
         let (mut aids, mut before) = (Vec::new(), None);
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let (Some(time_s), Some(moved_m)) =
                 (table.value(row, time)?, table.value(row, distance)?)
             else {

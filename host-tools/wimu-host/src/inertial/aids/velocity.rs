@@ -3,7 +3,7 @@
 use wimu_nav::sensor::Velocity;
 
 use super::Kind;
-use crate::csv::columns::SPEED;
+use crate::formats::table::SPEED;
 
 /// Velocity. Usual σ: the Doppler shift of GNSS.
 pub static VELOCITY: Kind = Kind {

@@ -112,7 +112,7 @@ pub struct Kind {
     /// Names of the column of each value, without the unit; none of a kind that is not read from a table. The column of
     /// σ has the word `Sigma` at the end, or before an axis.
     pub columns: &'static [&'static [&'static str]],
-    /// Size of each unit in SI units, and its names, separated by spaces.
+    /// Size of units in SI units, and their names in lower case.
     pub unit: &'static [(f64, &'static str)],
     /// σ without a column of it, in SI units; `None` where the model of the vehicle or of the ranges has it.
     pub usual_sd: Option<f64>,
@@ -305,7 +305,11 @@ impl Aids {
     }
 
     /// Those of a table. `arrived_s`: the time of rows of a table without times.
-    pub(super) fn of(table: &Measurements, arrived_s: Option<f64>, mounting: &Mounting) -> Result<Self> {
+    pub(super) fn of(
+        table: &Measurements,
+        arrived_s: Option<f64>,
+        mounting: &Mounting,
+    ) -> Result<Self> {
         let time = match arrived_s {
             Some(_) => table.column(&["Time"], TIME),
             None => Some(table.needed(&["Time"], TIME)?),
@@ -455,12 +459,18 @@ impl Columns {
     }
 
     /// The measurement of a row; `None` where none is filled in.
-    fn aid(&self, table: &Measurements, row: usize, not_positive: &mut usize) -> Result<Option<Aid>> {
+    fn aid(
+        &self,
+        table: &Measurements,
+        row: usize,
+        not_positive: &mut usize,
+    ) -> Result<Option<Aid>> {
         let usual = self.kind.usual_sd.unwrap_or_default();
         let mut aid = Aid::of(self.kind, 0.0, &[], usual);
         let mut measured = 0;
         for (k, (value, sd)) in self.values.iter().zip(&self.sds).enumerate() {
-            let read = |column: &Option<MeasuredColumn>| column.map_or(Ok(None), |c| table.value(row, c));
+            let read =
+                |column: &Option<MeasuredColumn>| column.map_or(Ok(None), |c| table.value(row, c));
             let (Some(value), sd) = (read(value)?, read(sd)?) else {
                 continue;
             };

@@ -246,7 +246,8 @@ impl Navigator {
                 self.core.travel(&ConstantVelocity { density, step_s }, step_s)
             }
             Carrier::Wheels(increment) => {
-                let Some((blocks, errors)) = self.wheels else {
+                // The first step has no length.
+                let Some((blocks, errors)) = self.wheels.filter(|_| step_s > 0.0) else {
                     return;
                 };
                 let odometry = Odometry {

@@ -111,7 +111,7 @@ impl<'a> Unit<'a> {
         let at_rest_first = self.first_rest(&rests).is_some();
         let mut navigator = self.placed(&self.start(&samples, &rests, choice)?, &steps, choice);
         let has_origin = navigator.has_origin();
-        // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/VALIDATION.md, accelerometer).
+        // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
         let smooth = choice.smooth && method == Method::Strapdown;
         navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
         run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);

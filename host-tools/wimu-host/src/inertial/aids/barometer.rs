@@ -18,7 +18,7 @@ pub static PRESSURE: Kind = Kind {
     name: "pressure",
     one: "pressure",
     columns: &[&["Pressure"]],
-    unit: &[(1.0, "Pa"), (100.0, "hPa mbar"), (1000.0, "kPa")],
+    unit: &[(1.0, "pa"), (100.0, "hpa mbar"), (1000.0, "kpa")],
     usual_sd: Some(3.0),
     states: &[State { name: "height of the origin", unit: "m", sd: 2000.0, walk: 0.15 }],
     remedy: "check that the vent of the barometer is open and not in a draught",

@@ -14,7 +14,7 @@ pub static VELOCITY: Kind = Kind {
     usual_sd: Some(0.2),
     is_whole: true,
     update: |aid, to| {
-        // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (docs/VALIDATION.md, car).
+        // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (docs/reference/validation.md, car).
         if to.with_position && to.navigator.vehicle().is_some() {
             return None;
         }

@@ -12,10 +12,6 @@ pub mod board {
     pub const MICROBIT_V2: u16 = 2;
     /// Raspberry Pi Pico or Pico 2.
     pub const PICO: u16 = 3;
-    /// The same.
-    pub const PICO_ADXL345: u16 = 3;
-    /// Nordic nRF52840 DK with Bluetooth Low Energy.
-    pub const NRF52840_BLE: u16 = 6;
     /// QEMU's mps2-an386.
     pub const QEMU_MPS2: u16 = 4;
     /// STM32F411.

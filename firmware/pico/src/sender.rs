@@ -1,7 +1,7 @@
 //! The sending half of a UART.
 
 use embassy_rp::interrupt::{Interrupt, InterruptExt};
-use embassy_rp::uart::{BufferedUartTx, Error};
+use embassy_rp::uart::{BufferedUart, BufferedUartRx, BufferedUartTx, Error};
 use embedded_io_async::{ErrorType, Write};
 
 /// [`BufferedUartTx`] with a workaround. Its interrupt takes bytes up to the end of its ring buffer, and occurs
@@ -28,4 +28,15 @@ impl Write for Sender {
     fn flush(&mut self) -> impl Future<Output = Result<(), Error>> {
         Write::flush(&mut self.uart)
     }
+}
+
+/// Both halves of a UART with this interrupt.
+pub fn halves(uart: BufferedUart, interrupt: Interrupt) -> (BufferedUartRx, Sender) {
+    let (sender, receiver) = uart.split();
+    (receiver, Sender { uart: sender, interrupt })
+}
+
+/// The fractional divisor of a UART supports every rate between the usual limits.
+pub fn nearest_rate(baud: u32) -> u32 {
+    baud.clamp(1200, 921_600)
 }

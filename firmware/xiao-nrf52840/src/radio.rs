@@ -22,6 +22,7 @@ const ACCURACY_PPM: u16 = 50;
 
 pub type Layer = MultiprotocolServiceLayer<'static>;
 pub type Controller = SoftdeviceController<'static>;
+pub type ControllerError = nrf_sdc::Error;
 
 /// What the layer takes of the chip.
 macro_rules! layer_peripherals {

@@ -11,7 +11,7 @@ use embassy_rp::gpio::Input;
 use wimu_model::DeviceTimeUs;
 use wimu_node::{DataReady, Timer};
 
-use crate::clock::BoardTimer;
+use wimu_embassy::BoardTimer;
 
 /// The pin's interrupt calls a waker, which captures the time before it wakes the task.
 static ROSE: Mutex<Rose> = Mutex::new(Rose { at: Cell::new(None), task: RefCell::new(None) });

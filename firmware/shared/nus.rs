@@ -7,7 +7,7 @@ use embassy_time::Timer;
 use trouble_host::prelude::*;
 use wimu_embassy::PacketLink;
 
-use crate::radio::Controller;
+use crate::radio::{Controller, ControllerError};
 
 /// Connections at a time.
 const CONNECTIONS: usize = 1;
@@ -88,7 +88,7 @@ async fn advertise<'a>(
     name: &str,
     peripheral: &mut Peripheral<'a, Controller, DefaultPacketPool>,
     server: &'a Server<'_>,
-) -> Result<Connection<'a>, BleHostError<nrf_sdc::Error>> {
+) -> Result<Connection<'a>, BleHostError<ControllerError>> {
     let (mut advertised, mut response) = ([0; 31], [0; 31]);
     let flags = AdStructure::Flags(LE_GENERAL_DISCOVERABLE | BR_EDR_NOT_SUPPORTED);
     let service = AdStructure::CompleteServiceUuids128(&[SERVICE]);

@@ -4,7 +4,6 @@
 #![no_std]
 #![no_main]
 
-mod array;
 mod counter;
 mod inertial;
 mod signals;
@@ -72,7 +71,6 @@ fn measure() -> Result<(), &'static str> {
     let counter = Counter::new(peripherals.SYST)
         .ok_or("time does not follow instructions: run QEMU with -icount shift=10")?;
     // In separate functions: the smaller processor has 16 kB of RAM for both.
-    array::measure(&counter)?;
     inertial::measure(&counter)?;
     samples(&counter)
 }

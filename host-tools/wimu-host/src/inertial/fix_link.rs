@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use super::fixes::{Fix, Fixes};
-use crate::csv::columns::Table;
+use crate::formats::table::Measurements;
 use crate::localization::Ranging;
 use crate::plural::counted;
 use crate::transport::{self, Transport};
@@ -134,7 +134,7 @@ impl FixLink {
     }
 
     fn fixes(&self, text: &str, arrived_s: f64) -> Result<Vec<Fix>> {
-        let table = Table::of(self.name.clone(), text)?;
+        let table = Measurements::of(&self.name, text)?;
         match &self.ranging {
             None => Ok(Fixes::of(&table, 0.0, Some(arrived_s))?.fixes),
             Some(ranging) => {

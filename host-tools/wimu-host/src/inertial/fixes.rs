@@ -10,8 +10,8 @@ use wimu_nav::sensor::{Heading, Position, Velocity};
 use super::segments::Segments;
 use super::suspects::{Lag, Suspects};
 use super::{Residual, StartPose};
-use crate::csv::columns::{ANGLE, Column, LENGTH, SPEED, TIME, Table};
 use crate::digits::significant;
+use crate::formats::table::{ANGLE, LENGTH, MeasuredColumn, Measurements, SPEED, TIME};
 use crate::localization::{AnchorStates, Model, RangeSample, Ranging};
 use crate::motion::other_clock;
 use crate::plural::counted;
@@ -64,11 +64,11 @@ impl Fixes {
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a fix.
     pub fn read(path: &Path, delay_s: f64) -> Result<Self> {
-        Self::of(&Table::read(path)?, delay_s, None)
+        Self::of(&Measurements::read(path)?, delay_s, None)
     }
 
     /// Those of a table. `arrived_s`: the time of rows of a table without times.
-    pub(super) fn of(table: &Table, delay_s: f64, arrived_s: Option<f64>) -> Result<Self> {
+    pub(super) fn of(table: &Measurements, delay_s: f64, arrived_s: Option<f64>) -> Result<Self> {
         let time = match arrived_s {
             Some(_) => table.column(&["Time"], TIME),
             None => Some(table.needed(&["Time"], TIME)?),
@@ -100,7 +100,7 @@ impl Fixes {
             let text = "of Position E (m) and N the fixes have only one: the other is not measured";
             findings.push(Code::Navigation.warning(text));
         }
-        let has_no_sd = |values: &[Option<Column>], sds: &[Option<Column>]| {
+        let has_no_sd = |values: &[Option<MeasuredColumn>], sds: &[Option<MeasuredColumn>]| {
             values.iter().any(Option::is_some) && sds.iter().all(Option::is_none)
         };
         if has_no_sd(&position, &position_sd) {
@@ -109,7 +109,7 @@ impl Fixes {
             findings.push(Code::Navigation.note(text).remedy(remedy));
         }
         let (mut fixes, mut not_positive) = (Vec::new(), 0);
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let value = |column: Option<_>| match column {
                 Some(column) => table.value(row, column),
                 None => Ok(None),

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use super::{InertialPath, PathPoint};
 use crate::chart::{Band, Chart, Series, Style};
 use crate::digits::significant;
-use crate::html::Report;
+use crate::document::Document;
 
 /// Least standard deviation that is drawn, m.
 const LEAST_M: f64 = 1e-4;
@@ -18,8 +18,8 @@ impl InertialPath {
     /// A page with the result of the path, its charts and `text`, that of the command.
     ///
     /// # Errors
-    /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Report {
+    /// Those of [`Document`].
+    pub fn page(&self, source: &str, text: &str) -> Document {
         let mut page = self.head(source, text);
         let anchors = self.ranging.iter().flat_map(|ranging| &ranging.anchors);
         let positions: Vec<_> = anchors.clone().map(|anchor| anchor.position_m).collect();
@@ -55,8 +55,8 @@ impl InertialPath {
     }
 
     /// The page without charts.
-    fn head(&self, source: &str, text: &str) -> Report {
-        let mut page = Report::new(format!("Path of {source}"));
+    fn head(&self, source: &str, text: &str) -> Document {
+        let mut page = Document::new(format!("Path of {source}"));
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
         if let Some(last) = last {

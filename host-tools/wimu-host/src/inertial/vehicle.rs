@@ -8,7 +8,7 @@ use wimu_nav::navigator::Navigator;
 use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::{Fixes, PathPoint};
-use crate::csv::columns::{LENGTH, SPEED, TIME, Table};
+use crate::formats::table::{LENGTH, Measurements, SPEED, TIME};
 use crate::{Code, Problem, Result};
 
 /// A clock offset that is reported, s: 0.2 m at 10 m/s. Standard deviations that it must exceed.
@@ -24,7 +24,7 @@ impl Fixes {
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a speed.
     pub fn with_odometry(mut self, path: &Path) -> Result<Self> {
-        let table = Table::read(path)?;
+        let table = Measurements::read(path)?;
         let time = table.needed(&["Time"], TIME)?;
         let speed = table.column(&["Speed"], SPEED);
         let distance = match speed {
@@ -32,7 +32,7 @@ impl Fixes {
             None => table.needed(&["Distance Increment"], LENGTH)?,
         };
         let mut before: Option<f64> = None;
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let (Some(time_s), Some(value)) =
                 (table.value(row, time)?, table.value(row, distance)?)
             else {

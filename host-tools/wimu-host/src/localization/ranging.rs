@@ -13,7 +13,7 @@ use super::model::Model;
 use super::start::{LEAST, LENGTH_S, candidates};
 use super::{AnchorPosition, RangePrior, RangeSample, input};
 use crate::Result;
-use crate::csv::columns::Table;
+use crate::formats::table::Measurements;
 
 /// Anchors in this many directions show a position, with a second one that may be its mirror image.
 const LEAST_ANCHORS: usize = 3;
@@ -49,7 +49,7 @@ impl Ranging {
     }
 
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
-    pub(crate) fn ranges(&self, table: &Table, arrived_s: f64) -> Result<Vec<RangeSample>> {
+    pub(crate) fn ranges(&self, table: &Measurements, arrived_s: f64) -> Result<Vec<RangeSample>> {
         let (ranges, left_out) = input::samples(table, &self.anchors, &self.name, Some(arrived_s))?;
         match left_out.first().filter(|_| ranges.is_empty()) {
             Some(why) => Err(table.empty(&why.text, "check the names of the anchors")),

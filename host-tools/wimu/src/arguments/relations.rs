@@ -49,9 +49,9 @@ const TABLES: [Table; 2] = [
     Table {
         command: "simulate",
         decided_by: "chip",
-        values: &["lsm303agr", "adxl345", "lsm6dso"],
+        values: &["lsm303agr", "adxl345", "lsm6dso", "lsm6ds3tr-c", "mpu6050", "icm42688"],
         rows: &[
-            ("replay",                "× × ·"),
+            ("replay",                "× × · · · ·"),
         ],
     },
 ];

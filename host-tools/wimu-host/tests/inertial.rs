@@ -5,7 +5,7 @@ use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::Code;
 use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry};
-use wimu_host::inertial::{Choice, Fixes, InertialPath, Method, StartPose, Zupt, navigate};
+use wimu_host::inertial::{Aids, Choice, InertialPath, Method, StartPose, Zupt, navigate};
 use wimu_host::motion::UnitSample;
 use wimu_host::motion::{MotionRecording, Truth};
 
@@ -324,7 +324,7 @@ fn the_path_is_written_with_the_columns_that_were_promised() {
          Sigma E (m),Sigma N (m),Sigma U (m),Valid"
     );
     assert_eq!(text.lines().count(), 451);
-    path.page("slide", "text", &Fixes::default()).write(&out).unwrap();
+    path.page("slide", "text", &Aids::default()).write(&out).unwrap();
     assert!(std::fs::read_to_string(&out).unwrap().contains("<svg"));
 }
 

@@ -1,8 +1,9 @@
 //! Report of a path: plan, path in space, coordinates, velocity and standard deviation.
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use super::{Fixes, InertialPath, PathPoint};
+use super::{Aids, InertialPath, PathPoint};
 use crate::chart::{Band, Chart, Series, Style};
 use crate::digits::significant;
 use crate::document::Document;
@@ -23,7 +24,7 @@ impl InertialPath {
     ///
     /// # Errors
     /// Those of [`Document`].
-    pub fn page(&self, source: &str, text: &str, fixes: &Fixes) -> Document {
+    pub fn page(&self, source: &str, text: &str, fixes: &Aids) -> Document {
         let mut page = self.head(source, text);
         let anchors = self.ranging.iter().flat_map(|ranging| &ranging.anchors);
         let positions: Vec<_> = anchors.clone().map(|anchor| anchor.position_m).collect();
@@ -42,9 +43,9 @@ impl InertialPath {
     }
 
     /// The position fixes that were used, or those that were rejected, near the path.
-    fn fixes(&self, fixes: &Fixes, accepted: bool) -> Series {
+    fn fixes(&self, fixes: &Aids, accepted: bool) -> Series {
         let own = self.residuals.iter();
-        let own = own.filter(|r| r.aid == "position" && r.accepted == accepted);
+        let own = own.filter(|residual| residual.accepted == accepted);
         let ranges = [0, 1].map(|axis| self.range_of(&[&|p| (p.position_m[axis], 0.0)]));
         let is_near = |position: &[f64; 3]| {
             ranges.iter().zip(position).all(|(range, at)| {
@@ -53,28 +54,30 @@ impl InertialPath {
                 (low - around..=high + around).contains(at)
             })
         };
-        let (times_s, positions): (_, Vec<_>) = own
-            .filter_map(|r| Some((r.time_s, fixes.position_at(r.time_s).filter(&is_near)?)))
-            .unzip();
+        let (times_s, positions): (_, Vec<_>) =
+            own.filter_map(|r| Some((r.time_s, fixes.position_of(r).filter(&is_near)?))).unzip();
         let name = if accepted { "fix" } else { REJECTED };
         Series { times_s, ..Series::space(name, Style::Dots, &positions) }
     }
 
     /// The residuals of each aid over time.
     fn innovations(&self) -> Option<Chart> {
-        let mut aids: Vec<&str> = self.residuals.iter().map(|r| r.aid.as_str()).collect();
-        aids.sort_unstable();
-        aids.dedup();
-        let of = |aid: &str| {
-            let own = self.residuals.iter().filter(|r| r.aid == aid);
-            own.map(|r| (r.time_s, r.value)).collect()
-        };
-        let series: Vec<Series> = aids.iter().map(|aid| Series::dots(aid, of(aid))).collect();
+        let mut aids = BTreeMap::<String, Vec<(f64, f64)>>::new();
+        for residual in &self.residuals {
+            let anchor = self.ranging.as_ref().and_then(|found| found.anchors.get(residual.source));
+            let name = match anchor {
+                Some(anchor) => format!("{} {}", residual.aid, anchor.id),
+                None => residual.aid.to_owned(),
+            };
+            aids.entry(name).or_default().push((residual.time_s, residual.value));
+        }
+        let series = aids.into_iter().map(|(aid, values)| Series::dots(&aid, values));
+        let series: Vec<Series> = series.collect();
         let title = "Residuals of the aids: measured less predicted";
         (!series.is_empty()).then(|| Chart {
             note: "Predicted by the forward filter, with the estimated bias and scale of each anchor. Ranges without line of sight are too long."
                 .to_owned(),
-            ..Chart::new(title, "time, s", "m, m/s, rad", series)
+            ..Chart::new(title, "time, s", "SI units", series)
         })
     }
 
@@ -84,12 +87,12 @@ impl InertialPath {
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
         if let Some(last) = last {
-            let length = significant(self.distance_m(), 3);
+            let length = significant(self.figures.distance_m, 3);
             page.key("path, while valid", &format!("{length} m"));
             let name = format!("1 σ at {:.1} s, the last valid point", last.time_s);
             page.key(&name, &format!("± {} m", significant(last.sd_m(), 2)));
         }
-        let share = 100.0 * self.valid_share();
+        let share = 100.0 * self.figures.valid_share;
         let name = format!("of the points valid: σ below {} m", self.limit_m);
         page.key(&name, &format!("{share:.0} %"));
         page.printed(text).findings(&self.findings);

@@ -66,8 +66,8 @@ fn files(seed: u64) -> [(&'static str, String); 4] {
     let mut table = "Time (s),Position E (m),Position N (m),Position U (m),\
         Position Sigma E (m),Position Sigma N (m),Position Sigma U (m)\n"
         .to_owned();
-    for fix in &fixes(&strides, FIX_S, FIX_M, seed).fixes {
-        let ([e, n, u], [de, dn, du]) = (fix.position_m, fix.position_sd_m);
+    for fix in &fixes(&strides, FIX_S, FIX_M, seed).aids {
+        let ([e, n, u], [de, dn, du]) = (fix.value, fix.sd);
         let _ = writeln!(table, "{:.1},{e:.3},{n:.3},{u:.3},{de},{dn},{du}", fix.time_s);
     }
     [("anchors.csv", anchors), ("ranges.csv", ranges), ("walk.csv", walk), ("fixes.csv", table)]

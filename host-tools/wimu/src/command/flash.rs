@@ -170,7 +170,7 @@ fn copy(image: &Image, drive: &Path, output: &Output) -> Result<()> {
     let failed = |error: std::io::Error| {
         let text = format!("the image cannot be copied: {error}");
         let remedy = format!("{}, and try again", image.board.shown);
-        Code::FlashFailed.error(text, remedy).at(drive.display())
+        Code::FlashFailed.error(text, remedy).at(drive.display().to_string())
     };
     let mut file = std::fs::File::create(drive.join(name)).map_err(failed)?;
     std::io::Write::write_all(&mut file, &image.bytes).map_err(failed)?;

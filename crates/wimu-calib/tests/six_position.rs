@@ -9,7 +9,7 @@ use wimu_calib::{
     six_position_labelled,
 };
 use wimu_model::ErrorModel;
-use wimu_testkit::{Coverage, coverage_figure, draws, figure, rms_ratio_can_be, trials};
+use wimu_testkit::{Coverage, coverage_figure, trials};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 

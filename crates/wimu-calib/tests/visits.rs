@@ -7,7 +7,7 @@ use wimu_calib::{
     Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, multi_position,
     multi_position_with,
 };
-use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
+use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, draws, trials};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;

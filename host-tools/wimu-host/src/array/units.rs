@@ -226,7 +226,7 @@ impl ArrayUnit {
     pub(super) fn remarks(&self) -> Vec<String> {
         let clock = self.clock_sd_s.map_or_else(
             || {
-                "its times are taken as the table has them; `--refine` finds a constant delay"
+                "its times are taken as the table has them; `--setup refine=FILE` finds a constant delay"
                     .to_owned()
             },
             |sd| format!("its clock known to {:.0} µs", sd * 1e6),

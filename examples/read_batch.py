@@ -1,6 +1,6 @@
 """Frames and batches of the wire protocol, decoded: python3 examples/read_batch.py tests/vectors/v3/batch.hex
 
-Each frame of the file follows a line with its meaning; `ok` says that it was decoded to that. docs/PROTOCOL.md, section 9."""
+Each frame of the file follows a line with its meaning; `ok` says that it was decoded to that. docs/reference/protocol.md, section 9."""
 
 import sys
 

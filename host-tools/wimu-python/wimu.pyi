@@ -92,7 +92,7 @@ class Recording:
     def name(self) -> str: ...
     @property
     def format(self) -> str:
-        """As docs/FORMATS.md names it."""
+        """As docs/reference/formats.md names it."""
 
     @property
     def tracks(self) -> list[Track]: ...
@@ -113,7 +113,7 @@ def read(
     link: Literal["cable", "wireless"] | None = None,
     poses: bool = False,
 ) -> Recording:
-    """Reads a recording of any format in docs/FORMATS.md, detected by content.
+    """Reads a recording of any format in docs/reference/formats.md, detected by content.
 
     topic: topic, message or log, where the file has several.
     columns: columns of a table, such as "t=timestamp:ns,x=ax:g,y=ay:g,z=az:g".

@@ -1,4 +1,4 @@
-//! Another host, written from docs/PROTOCOL.md alone: it reads every example message and must find what
+//! Another host, written from docs/reference/protocol.md alone: it reads every example message and must find what
 //! stands above it. Nothing of wimu is used here. (Batches are read by `examples/read_batch.py`.)
 
 use std::fs;

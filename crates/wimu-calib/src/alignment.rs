@@ -47,7 +47,7 @@ pub struct AlignmentEstimate {
 }
 
 /// The rotation from the sensor's axes to those of the body that best agrees with two or more known
-/// directions. Equation (54) of docs/EQUATIONS.md.
+/// directions. Equation (54) of docs/reference/equations.
 ///
 /// ```
 /// use wimu_calib::{KnownDirection, align};

@@ -15,7 +15,7 @@ use crate::{Estimate, Gravity, Model, MultiPosition, Pose, Reason, Refusal, inpu
 const LEAST_WARMING_K: f64 = 1.0;
 
 /// Estimates the error model from static poses in unknown orientations: |f| = g in each. Equations
-/// (11) to (17) and (40) of docs/EQUATIONS.md.
+/// (11) to (17) and (40) of docs/reference/equations.
 ///
 /// `poses` are in m/s² by the nominal sensitivity, sensor axes. At least one more than the model
 /// has parameters is needed; twelve well distributed ones give a good result. If every pose has a

@@ -162,7 +162,7 @@ impl Transfer {
 }
 
 /// Compares two noisy streams of the same motion: bias, scale factor and cross-axis sensitivity of
-/// every axis that moves. Equations (50) and (51) of docs/EQUATIONS.md.
+/// every axis that moves. Equations (50) and (51) of docs/reference/equations.
 ///
 /// Memory is fixed (45 KB): sums over blocks whose length grows with the recording.
 ///

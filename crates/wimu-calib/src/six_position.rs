@@ -34,7 +34,7 @@ const OF_FOUR: f64 = 2.7;
 const ONE_OF_TWO: f64 = 2.0;
 
 /// Estimates all 12 parameters from poses with one vertical axis each, identified by the dominant
-/// component. Equations (18) and (19) of docs/EQUATIONS.md.
+/// component. Equations (18) and (19) of docs/reference/equations.
 ///
 /// `poses` are in m/s² by the nominal sensitivity, sensor axes. Those within 20° of an axis
 /// ([`Face::of`]) are used, each of the six sides at least once; several poses of one side are

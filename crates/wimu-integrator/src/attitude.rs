@@ -1,5 +1,5 @@
 //! Attitude from gravity and a reference direction, held during motion: equation (7) of
-//! docs/EQUATIONS.md.
+//! docs/reference/equations.
 
 use wimu_model::{PositionNm, VelocityNmps, root};
 

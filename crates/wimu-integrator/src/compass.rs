@@ -1,4 +1,4 @@
-//! Heading from a calibrated magnetometer at a rest: equation (58) of docs/EQUATIONS.md.
+//! Heading from a calibrated magnetometer at a rest: equation (58) of docs/reference/equations.
 
 use wimu_model::{CompassTerms, MagneticFieldNt};
 

@@ -1,4 +1,4 @@
-//! Integration with a gyroscope: equation (29) of docs/EQUATIONS.md.
+//! Integration with a gyroscope: equation (29) of docs/reference/equations.
 
 use wimu_model::{AngularRateQ20, PeriodNs, SpecificForceQ16};
 

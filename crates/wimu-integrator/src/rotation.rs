@@ -1,4 +1,4 @@
-//! Attitude from measured angular rate in whole numbers: equations (27) and (28) of docs/EQUATIONS.md.
+//! Attitude from measured angular rate in whole numbers: equations (27) and (28) of docs/reference/equations.
 
 use wimu_model::fixed::{self, product};
 use wimu_model::{AngularRateQ20, PeriodNs};

@@ -1,4 +1,4 @@
-//! Trapezoidal integration in integers: equations (4) to (6) of docs/EQUATIONS.md.
+//! Trapezoidal integration in integers: equations (4) to (6) of docs/reference/equations.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 

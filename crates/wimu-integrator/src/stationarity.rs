@@ -1,4 +1,4 @@
-//! Stationarity detector on windows of samples: equation (9) of docs/EQUATIONS.md.
+//! Stationarity detector on windows of samples: equation (9) of docs/reference/equations.
 
 use wimu_model::{PeriodNs, SpecificForceQ16, root};
 

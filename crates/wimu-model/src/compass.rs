@@ -1,4 +1,4 @@
-//! What a heading from the magnetic field needs: equation (58) of docs/EQUATIONS.md.
+//! What a heading from the magnetic field needs: equation (58) of docs/reference/equations.
 
 use crate::matrix::{self, Matrix3};
 use crate::{MagneticFieldNt, ParameterSet};

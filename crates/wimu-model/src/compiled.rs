@@ -1,5 +1,5 @@
 //! A calibration compiled for a device: integers, and how they change with temperature. Equations (3) and (26) of
-//! docs/EQUATIONS.md.
+//! docs/reference/equations.
 
 use core::fmt;
 

@@ -18,7 +18,7 @@ const LARGEST_OUTPUT: f64 = 536_870_912.0;
 /// Maps counts to specific force in body axes in integers, at one latched temperature.
 ///
 /// f = M c + o with M = R A(T)⁻¹ · (m/s² per LSB) and o = −R A(T)⁻¹ b(T): equation (3) of
-/// docs/EQUATIONS.md. Sums are exact, and the same on every target: a processor with a long
+/// docs/reference/equations. Sums are exact, and the same on every target: a processor with a long
 /// multiplication takes nine of them, Cortex-M0+ eighteen of a count and half a coefficient.
 ///
 /// At the model's reference temperature the result is at most 1 LSB (2⁻¹⁶ m/s²) from the f64 result for every count from
@@ -131,7 +131,7 @@ impl Corrector {
 }
 
 /// The integers of a [`Corrector`], the same for every target: those of M and o in equation (3) of
-/// docs/EQUATIONS.md.
+/// docs/reference/equations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

@@ -1,4 +1,4 @@
-//! y = b(T) + A(T) u, u = f + q ∘ f ∘ f: equation (1) of docs/EQUATIONS.md.
+//! y = b(T) + A(T) u, u = f + q ∘ f ∘ f: equation (1) of docs/reference/equations.
 
 use crate::error::{Bounds, ModelError, check_matrix};
 use crate::matrix::{self, Matrix3};

@@ -1,5 +1,5 @@
 //! The error model of a gyroscope, and its fixed-point corrector: equations (25) and (26) of
-//! docs/EQUATIONS.md.
+//! docs/reference/equations.
 
 use crate::corrector::{CompileError, diagonal, round};
 use crate::error::{Bounds, ModelError, check_matrix};
@@ -149,7 +149,7 @@ impl From<GyroscopeModel> for GyroscopeTerms {
 }
 
 /// Maps counts of a gyroscope to angular rate in body axes in integers, at one latched temperature:
-/// ω = R A(T)⁻¹ (y − b(T) − G Rᵀ f), equation (26) of docs/EQUATIONS.md.
+/// ω = R A(T)⁻¹ (y − b(T) − G Rᵀ f), equation (26) of docs/reference/equations.
 ///
 /// At the model's reference temperature and without g-sensitivity the result is at most 1 LSB (2⁻²⁰ rad/s) from the f64
 /// result for all 16-bit counts, with it at most 2 LSB for specific force within ±2²⁴ LSB (256 m/s²). It is within ±2²⁸ LSB

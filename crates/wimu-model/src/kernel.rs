@@ -1,5 +1,5 @@
 //! The matrix product per sample in integers, implemented in two ways with identical results:
-//! equation (3) of docs/EQUATIONS.md. They differ only in speed.
+//! equation (3) of docs/reference/equations. They differ only in speed.
 
 // A target uses one of the two.
 #![cfg_attr(not(test), allow(dead_code))]

@@ -1,4 +1,4 @@
-//! m = h + S Rᵀ B: equation (55) of docs/EQUATIONS.md.
+//! m = h + S Rᵀ B: equation (55) of docs/reference/equations.
 
 use crate::error::{Bounds, ModelError};
 use crate::matrix::{self, Matrix3};

@@ -1,5 +1,5 @@
 //! Fixed-interval smoother: the state at each time given the measurements before and after it. Equations (134) to (139)
-//! of docs/EQUATIONS.md.
+//! of docs/reference/equations.
 //!
 //! A [`Log`] in a filter records it as [`Epoch`]s. [`Smoothed`] goes backward over them. Considered states stay as they are:
 //! their uncertainty is in the smoothed covariance.

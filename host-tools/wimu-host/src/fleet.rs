@@ -2,7 +2,7 @@
 //!
 //! A [`Gateway`](gateway::Gateway) keeps one link to each board, records it, and publishes the received bytes in
 //! [`Batch`]es. A client of the broker gets the same bytes with the gateway's times of arrival, and sends requests back.
-//! The broker is not trusted: writes are signed by the client and verified by the board. docs/SCALE.md has the contract.
+//! The broker is not trusted: writes are signed by the client and verified by the board. docs/reference/fleet.md has the contract.
 
 pub mod batch;
 mod bridge;

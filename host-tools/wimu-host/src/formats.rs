@@ -1,5 +1,5 @@
 //! Recordings in the formats of other programs and devices: detected by content, read into a
-//! [`Recording`]. docs/FORMATS.md lists them.
+//! [`Recording`]. docs/reference/formats.md lists them.
 
 mod archive;
 mod ardupilot;
@@ -30,7 +30,7 @@ use crate::{Code, Problem, Result};
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct ReadOptions {
-    /// The format, by its name in docs/FORMATS.md, instead of the detected one.
+    /// The format, by its name in docs/reference/formats.md, instead of the detected one.
     pub format: Option<String>,
     /// The topic or message to read where there are several.
     pub topic: Option<String>,
@@ -57,7 +57,7 @@ pub struct ReadOptions {
 
 /// A format that wimu reads.
 struct Format {
-    /// Its name in docs/FORMATS.md.
+    /// Its name in docs/reference/formats.md.
     name: &'static str,
     /// Whether a file with these first bytes has it.
     detect: fn(&Source) -> bool,
@@ -181,7 +181,7 @@ fn unknown(source: &Source, several: &[&Source]) -> Problem {
         [] => (
             Code::UnknownFormat,
             "the format is not known".to_owned(),
-            "see docs/FORMATS.md, or convert it to CSV",
+            "see docs/reference/formats.md, or convert it to CSV",
         ),
     };
     code.error(message, remedy).at(source.name())

@@ -33,7 +33,7 @@ pub struct UnitSample {
 
 /// Standard deviation of the bias of a calibrated consumer accelerometer, m/s²: what its turn-on changes (datasheets).
 const BIAS_MPS2: f64 = 0.05;
-/// The same of a sensor whose calibration is not known, m/s²: that of public recordings (docs/VALIDATION.md, navigation).
+/// The same of a sensor whose calibration is not known, m/s²: that of public recordings (docs/reference/validation.md, navigation).
 const UNKNOWN_BIAS_MPS2: f64 = 0.1;
 
 /// Change of scale factor and misalignment after a calibration: 0.01 %/K over 10 K (LSM6DSO, MPU-9250 datasheets).

@@ -296,7 +296,7 @@ impl Track {
 pub struct Recording {
     /// What messages call it.
     pub name: String,
-    /// Its format, as docs/FORMATS.md names it.
+    /// Its format, as docs/reference/formats.md names it.
     pub format: &'static str,
     tracks: Vec<Track>,
     /// What was noticed at reading.

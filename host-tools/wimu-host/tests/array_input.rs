@@ -373,6 +373,6 @@ fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation
     let [before, after] = [&filtered, &smoothed].map(|path| rate_rms(path, &all.rates));
     println!("{before:.4} and {after:.4} rad/s rms");
     assert!(after < 0.9 * before, "{after} {before}");
-    let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees).unwrap();
+    let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees.all).unwrap();
     assert!(share > 0.9, "{share}");
 }

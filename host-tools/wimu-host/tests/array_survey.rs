@@ -29,7 +29,7 @@ fn navigated(recording: Array, geometry: &ArrayGeometry) -> InertialPath {
 fn honest(path: &InertialPath) -> (f64, f64, String) {
     let share = |nees: &[f64]| consistency(nees).map_or(0.0, |(_, share)| share);
     let said = path.findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    (share(&path.nees), share(&path.rate_nees), said)
+    (share(&path.nees.all), share(&path.rate_nees.all), said)
 }
 
 #[test]

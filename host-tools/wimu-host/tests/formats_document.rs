@@ -1,4 +1,4 @@
-//! docs/FORMATS.md holds what is read today.
+//! docs/reference/formats.md holds what is read today.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ fn the_document_of_formats_holds_what_is_read_and_what_other_readers_found() {
         assert!(agrees || is_optional, "{line}");
         writeln!(table, "{line}").unwrap();
     }
-    let path = root.join("docs/FORMATS.md");
+    let path = root.join("docs/reference/formats.md");
     let text = std::fs::read_to_string(&path).unwrap();
     let (head, rest) = text.split_once("<!-- files -->\n").unwrap();
     let (_, tail) = rest.split_once("<!-- end -->").unwrap();

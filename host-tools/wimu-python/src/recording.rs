@@ -185,7 +185,7 @@ impl Recording {
         &self.data.name
     }
 
-    /// Format, as docs/FORMATS.md names it.
+    /// Format, as docs/reference/formats.md names it.
     #[getter]
     fn format(&self) -> &str {
         self.data.format

@@ -1,4 +1,4 @@
-//! Statistics that take long, in release. What they measure goes to `docs/validation/NAME.json`.
+//! Statistics that take long, in release. What they measure goes to `docs/reference/validation/NAME.json`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,9 @@ use crate::Result;
 use crate::budget::DATA;
 
 /// Where results are kept.
-pub const RESULTS: &str = "docs/validation";
+pub const RESULTS: &str = "docs/reference/validation";
 
-/// Commands whose figures are kept together; `docs/validation/campaigns.json` lists them.
+/// Commands whose figures are kept together; `docs/reference/validation/campaigns.json` lists them.
 #[derive(Deserialize)]
 pub struct Campaign {
     pub name: String,
@@ -23,7 +23,7 @@ pub struct Campaign {
     sources: Vec<String>,
     /// Arguments of cargo. `{data}` is the folder of recordings, `{results}` that of results.
     commands: Vec<String>,
-    /// The claims of it that docs/VALIDATION.md begins with.
+    /// The claims of it that docs/reference/validation.md begins with.
     pub headlines: Vec<String>,
 }
 

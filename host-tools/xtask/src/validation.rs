@@ -1,5 +1,5 @@
-//! `docs/VALIDATION.md` from the results of the campaigns: the headline claims, then each campaign with the targets
-//! that it misses. All figures are in `docs/validation`.
+//! `docs/reference/validation.md` from the results of the campaigns: the headline claims, then each campaign with the targets
+//! that it misses. All figures are in `docs/reference/validation`.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -47,7 +47,7 @@ pub fn write(sh: &Shell) -> Result {
     text += &part("limits.md")?;
     text += &sections;
     let _ = write!(text, "\n{}", part("tail.md")?);
-    Ok(fs::write("docs/VALIDATION.md", text)?)
+    Ok(fs::write("docs/reference/validation.md", text)?)
 }
 
 /// The day of a result, marked where its sources have changed since.

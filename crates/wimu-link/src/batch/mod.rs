@@ -2,7 +2,7 @@
 //!
 //! Each batch is decoded independently of others. Every axis is predicted from its previous samples,
 //! and the residuals are Rice-coded; an axis that this would not shorten is sent with a fixed width. All
-//! arithmetic is in integers. Equations (20) to (24) of docs/EQUATIONS.md.
+//! arithmetic is in integers. Equations (20) to (24) of docs/reference/equations.
 //!
 //! Body of a frame of [`Kind::Batch`]: samples of the accelerometer of sensor 0, raw counts of 16 bits or
 //! corrected:

@@ -268,7 +268,7 @@ impl fmt::Display for Refusal {
                 "writing on this link takes a key, and the device has none; run `wimu device key set` once over the cable",
             ),
             Self::Locked => out.write_str(
-                "writes are locked: the device cannot read its key or boot count; run `wimu device key rotate` over the cable; if refused, see docs/SECURITY.md (lost key)",
+                "writes are locked: the device cannot read its key or boot count; run `wimu device key rotate` over the cable; if refused, see docs/reference/security.md (lost key)",
             ),
             Self::InvalidParameters(fault) => fault.fmt(out),
             Self::WrongRange {

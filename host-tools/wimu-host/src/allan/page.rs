@@ -41,13 +41,12 @@ impl NoiseReport {
 impl SensorNoise {
     /// The noise terms of each axis.
     fn terms(&self, document: &mut Document) {
-        let Kind { density, white, walk, bias, drift, .. } = self.kind;
+        let Kind { density, white, walk, bias, .. } = self.kind;
         let columns = [
             ("noise density", density),
             (white.0, &white.1),
             ("bias instability", bias),
             (walk.0, &walk.1),
-            ("drift", drift),
         ];
         let head = columns.map(|(name, unit)| format!("{name}, {}", unit.name));
         let mut head: Vec<&str> = head.iter().map(String::as_str).collect();
@@ -64,7 +63,6 @@ impl SensorNoise {
                 cell(Some(axis.random_walk), 1),
                 axis.bias_instability.map_or(floor, |found| bias.text(found)),
                 cell(axis.bias_random_walk, 3),
-                cell(axis.drift, 4),
             ]
         });
         let name = format!("Noise of the {} (density one-sided)", self.kind.name);

@@ -29,7 +29,7 @@ const ROWS: u64 = 20_000;
 pub struct Summary {
     /// The file.
     pub source: String,
-    /// Its format, as docs/FORMATS.md names it.
+    /// Its format, as docs/reference/formats.md names it.
     pub format: &'static str,
     /// From the first row of any track to the last, s.
     pub duration_s: f64,

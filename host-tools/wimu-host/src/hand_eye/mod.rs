@@ -1,5 +1,5 @@
 //! Pose of a camera in the axes of a body: rotation, translation and clock offset from the camera's poses and those of the body,
-//! or inertial data. Equations (200) to (205) of docs/EQUATIONS.md.
+//! or inertial data. Equations (200) to (205) of docs/reference/equations.
 //!
 //! The method is the robot–world hand–eye calibration AX = YB (Zhuang, Roth & Sudhakar 1994; Strobl & Hirzinger 2006) as a
 //! maximum-likelihood fit with Student weights. Each block of the recording has its own frame Y, so that a tracker may drift.

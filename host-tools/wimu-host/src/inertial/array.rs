@@ -2,7 +2,7 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{compare, moving};
+use super::truth::{Nees, compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{Agreement, Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use crate::motion::{LIKELY, heading_rad, nees};
@@ -169,7 +169,8 @@ fn path_of(
         .collect();
     let velocity_nees =
         vector_nees(&true_velocity, &|k| (states[k].velocity_mps, states[k].velocity_covariance));
-    path.rate_nees = rate_nees;
-    path.velocity_nees = velocity_nees;
-    Ok(path)
+    let is_heading_fitted = path.nees.is_heading_fitted;
+    path.rate_nees = Nees { all: rate_nees, is_heading_fitted };
+    path.velocity_nees = Nees { all: velocity_nees, is_heading_fitted };
+    Ok(path.assumed(choice))
 }

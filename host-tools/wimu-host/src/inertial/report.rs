@@ -1,5 +1,6 @@
 //! Report of a path: plan, path in space, coordinates, velocity and standard deviation.
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use super::{InertialPath, PathPoint};
@@ -38,19 +39,22 @@ impl InertialPath {
 
     /// The residuals of each aid over time.
     fn innovations(&self) -> Option<Chart> {
-        let mut aids: Vec<&str> = self.residuals.iter().map(|r| r.aid.as_str()).collect();
-        aids.sort_unstable();
-        aids.dedup();
-        let of = |aid: &str| {
-            let own = self.residuals.iter().filter(|r| r.aid == aid);
-            own.map(|r| (r.time_s, r.value)).collect()
-        };
-        let series: Vec<Series> = aids.iter().map(|aid| Series::dots(aid, of(aid))).collect();
+        let mut aids = BTreeMap::<String, Vec<(f64, f64)>>::new();
+        for residual in &self.residuals {
+            let anchor = self.ranging.as_ref().and_then(|found| found.anchors.get(residual.source));
+            let name = match anchor {
+                Some(anchor) => format!("{} {}", residual.aid, anchor.id),
+                None => residual.aid.to_owned(),
+            };
+            aids.entry(name).or_default().push((residual.time_s, residual.value));
+        }
+        let series = aids.into_iter().map(|(aid, values)| Series::dots(&aid, values));
+        let series: Vec<Series> = series.collect();
         let title = "Residuals of the aids: measured less predicted";
         (!series.is_empty()).then(|| Chart {
             note: "Predicted by the forward filter, with the estimated bias and scale of each anchor. Ranges without line of sight are too long."
                 .to_owned(),
-            ..Chart::new(title, "time, s", "m, m/s, rad", series)
+            ..Chart::new(title, "time, s", "SI units", series)
         })
     }
 
@@ -60,12 +64,12 @@ impl InertialPath {
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
         if let Some(last) = last {
-            let length = significant(self.distance_m(), 3);
+            let length = significant(self.figures.distance_m, 3);
             page.key("path, while valid", &format!("{length} m"));
             let name = format!("1 σ at {:.1} s, the last valid point", last.time_s);
             page.key(&name, &format!("± {} m", significant(last.sd_m(), 2)));
         }
-        let share = 100.0 * self.valid_share();
+        let share = 100.0 * self.figures.valid_share;
         let name = format!("of the points valid: σ below {} m", self.limit_m);
         page.key(&name, &format!("{share:.0} %"));
         page.printed(text).findings(&self.findings);

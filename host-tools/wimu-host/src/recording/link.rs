@@ -15,7 +15,7 @@ use crate::decode::TimedSample;
 use crate::stream::Part;
 use crate::{Code, Result};
 
-/// Name of the format of wimu's recordings in docs/FORMATS.md.
+/// Name of the format of wimu's recordings in docs/reference/formats.md.
 pub(crate) const FORMAT: &str = "wimu recording";
 
 impl Recording {

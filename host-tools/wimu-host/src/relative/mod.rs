@@ -1,5 +1,5 @@
 //! Digital protractor: rotation and hinge angle between two units on two bodies that a joint connects. Equations (190) to
-//! (196) of docs/EQUATIONS.md.
+//! (196) of docs/reference/equations.
 
 mod clock;
 mod engine;

@@ -374,7 +374,7 @@ impl Case {
             .and_then(|body| body.navigated(G, self.zupt))?;
         let truth = arranged.beside(&arranged.reference.rate_rad_s);
         let mut outcome = Outcome {
-            position: path.nees.clone(),
+            position: path.nees.all.clone(),
             valid: path.points.iter().filter(|p| p.valid).count() as f64 / path.points.len() as f64,
             remarks: path.findings.iter().map(ToString::to_string).collect(),
             ..Outcome::default()

@@ -13,7 +13,7 @@ pub struct Reading {
     /// Rows of a table to use: those whose columns have these values, such as "Run=2,IMU=0"
     #[arg(hide_short_help = true, long = "where", value_name = "COLUMN=VALUE,…")]
     pub filter: Option<Filter>,
-    /// Format of the file, by its name in docs/FORMATS.md [default: detected by its content]
+    /// Format of the file, by its name in docs/reference/formats.md [default: detected by its content]
     #[arg(hide_short_help = true, long, value_name = "NAME")]
     pub format: Option<String>,
     /// Topic, message or log to read, where the file has several; of a recording of wimu the link: cable or wireless

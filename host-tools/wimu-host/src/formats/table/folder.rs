@@ -63,7 +63,7 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         let reasons = reasons.join("; ");
         let message = format!("none of its tables is of an inertial sensor: {reasons}");
         return Err(Code::UnknownFormat
-            .error(message, "see docs/FORMATS.md, or give one file")
+            .error(message, "see docs/reference/formats.md, or give one file")
             .at(source.name()));
     }
     for (name, error) in refused {

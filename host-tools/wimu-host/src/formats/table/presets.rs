@@ -7,7 +7,7 @@ use crate::recording::Quantity::{self, *};
 /// A program's table.
 #[derive(Debug)]
 pub struct Preset {
-    /// Its name in docs/FORMATS.md.
+    /// Its name in docs/reference/formats.md.
     pub name: &'static str,
     /// Columns that only it has, as [`names::key`] of the name without unit.
     columns: &'static [&'static str],

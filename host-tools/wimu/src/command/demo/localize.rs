@@ -105,7 +105,7 @@ impl Demonstrated {
                 walks.foot.points.last().map_or(f64::NAN, PathPoint::sd_m),
             ],
             foot_integrated_m: end(&walks.integrated),
-            fixes: walks.fixes.fixes.len(),
+            fixes: walks.fixes.aids.len(),
             fixes_rmse_m: [rmse(&walks.foot), rmse(&walks.fixed)],
             report: arguments.report.display().to_string(),
         }

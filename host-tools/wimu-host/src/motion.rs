@@ -73,6 +73,9 @@ pub(crate) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
 /// The column that says whether the magnetic field is corrected.
 pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
 
+/// The column that says whether the unit moves.
+pub(crate) const MOVING: &str = "Moving";
+
 /// Deviations up to which something is likely.
 pub(crate) const LIKELY: f64 = 3.0;
 
@@ -108,7 +111,8 @@ pub struct MotionRecording {
     pub full_scale_mps2: Option<f64>,
     /// Whether a magnetic field was left out because its magnetometer is not calibrated.
     pub field_uncalibrated: bool,
-    other: Vec<(String, Vec<f64>)>,
+    /// The column `Moving`, where the file has it: above 0.5 where the unit moves by its reference.
+    pub moving: Option<Vec<f64>>,
 }
 
 impl MotionRecording {
@@ -131,11 +135,6 @@ impl MotionRecording {
         } else {
             "no magnetometer"
         }
-    }
-
-    /// Another column of the file.
-    pub fn column(&self, name: &str) -> Option<&[f64]> {
-        self.other.iter().find(|(n, _)| n == name).map(|(_, values)| values.as_slice())
     }
 
     /// Standard deviation of the accelerometer's bias, m/s²: of an unknown sensor, or what turn-on changes and what its

@@ -7,7 +7,7 @@ use nalgebra::{Vector3, Vector4};
 use super::ArrayGeometry;
 use super::units::{ArrayUnit, Part, UnitOptions};
 use crate::calibration::Correction;
-use crate::motion::Truth;
+use crate::motion::{MOVING, Truth};
 use crate::recording::{Origin, Quantity, Recording, Track};
 use crate::series::{Flags, Interp, Ns, Series};
 use crate::{Code, Result};
@@ -60,7 +60,7 @@ impl Reference {
         };
         let rows = truth(Quantity::Attitude).into_iter().flat_map(Track::valid);
         let quaternion = rows.map(|(time, row)| (Ns(time), Vector4::from_column_slice(row)));
-        let moving = file.of(Quantity::Scalar).find(|track| track.info.name == "Moving");
+        let moving = file.of(Quantity::Scalar).find(|track| track.info.name == MOVING);
         let moving = moving.into_iter().flat_map(Track::valid);
         Self {
             position_m: vectors(Quantity::Position),
@@ -258,6 +258,14 @@ impl Array {
     /// Where the body truly was at each sample.
     pub fn truth(&self) -> Vec<Option<Truth>> {
         self.times().iter().map(|time| self.reference.at(*time)).collect()
+    }
+
+    /// The column `Moving` at each sample, where the file has it.
+    pub fn moving(&self) -> Option<Vec<f64>> {
+        let moving = &self.reference.moving;
+        let values = moving.on(self.times().iter().copied(), Interp::Linear);
+        let values = values.map(|at| at.map_or(f64::NAN, |at| at.value));
+        (!moving.is_empty()).then(|| values.collect())
     }
 
     /// Values of a series of the reference at each sample.

@@ -105,7 +105,7 @@ impl LinkReport {
     /// What the tables do not have.
     fn details(&self, document: &mut Document) {
         let mut add = |what: &str, text: &str| {
-            document.key(&format!("{}: {what}", self.link), text);
+            document.key(&format!("{} {what}", self.link), text);
         };
         if self.before + self.under_way > 0 {
             let text = format!(

@@ -6,7 +6,6 @@ use super::truth::{Nees, compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{Agreement, Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use crate::motion::{LIKELY, heading_rad, nees};
-use crate::series::Interp;
 use crate::stats::norm;
 use crate::{Code, Problem, Result};
 
@@ -143,13 +142,8 @@ fn path_of(
     let mut path = path.checked(&recording.name, super::REMEDY)?;
     let truth = recording.truth();
     let true_rate = recording.beside(&recording.reference.rate_rad_s);
-    let moving = {
-        let column =
-            recording.reference.moving.on(recording.times().iter().copied(), Interp::Linear);
-        let column: Vec<f64> = column.map(|at| at.map_or(f64::NAN, |at| at.value)).collect();
-        let column = (!recording.reference.moving.is_empty()).then_some(column);
-        moving(&recording.times_s(), column.as_deref(), &truth, &true_rate)
-    };
+    let column = recording.moving();
+    let moving = moving(&recording.times_s(), column.as_deref(), &truth, &true_rate);
     compare(&mut path, &truth, &moving);
     let valid = |k: &usize| path.points[*k].valid && moving.get(*k).is_some_and(|moves| *moves);
     let vector_nees = |truth: &[Option<[f64; 3]>],

@@ -199,7 +199,7 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     let remedy = choice.aids.remedy(choice.limit_m);
     let remedy = remedy.as_deref().unwrap_or(REMEDY);
     let mut path = path.checked(&recording.name, remedy)?;
-    let column = recording.column("Moving");
+    let column = recording.moving.as_deref();
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
     compare(&mut path, &recording.truth, &moving);
     path.source.clone_from(&recording.name);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::{FIELD_CALIBRATED, MotionRecording, Truth, UnitSample, in_body_axes};
+use super::{FIELD_CALIBRATED, MOVING, MotionRecording, Truth, UnitSample, in_body_axes};
 use crate::calibration::{Correction, SensorCalibration};
 use crate::formats::{self, ReadOptions};
 use crate::multi_range::{FullScales, Merge};
@@ -95,8 +95,8 @@ impl MotionRecording {
             tracks.find(|track| track.info.origin == Origin::Truth)
         };
         let (position, attitude) = (truth(Quantity::Position), truth(Quantity::Attitude));
-        let scalars: Vec<&Track> = recording.of(Quantity::Scalar).collect();
-        let calibrated = scalars.iter().find(|t| t.info.name == FIELD_CALIBRATED).copied();
+        let scalar = |name| recording.of(Quantity::Scalar).find(|track| track.info.name == name);
+        let (calibrated, moving) = (scalar(FIELD_CALIBRATED), scalar(MOVING));
         let mut motion = Self {
             name: name.to_owned(),
             findings: recording.relevant(&[Code::RowsMasked, Code::Frozen]),
@@ -106,7 +106,7 @@ impl MotionRecording {
             }),
             of_sessions: stored.is_some_and(|stored| stored.accelerometer.of_sessions()),
             full_scale_mps2: force.info.full_scale,
-            other: scalars.iter().map(|track| (track.info.name.clone(), Vec::new())).collect(),
+            moving: moving.map(|_| Vec::new()),
             ..Self::default()
         };
         motion.findings.extend(stored.map(finding));
@@ -116,7 +116,7 @@ impl MotionRecording {
         let mut flags = calibrated.map(|track| track.beside(force));
         let mut positions = position.map(|track| track.beside(force));
         let mut attitudes = attitude.map(|track| track.beside(force));
-        let mut others: Vec<_> = scalars.iter().map(|track| track.beside(force)).collect();
+        let mut moves = moving.map(|track| track.beside(force));
         let (mut last_s, mut temperature_c) = (None, None);
         let rad_s = rate.and_then(|track| correction.rad_s_per_unit(&track.info)).unwrap_or(1.0);
         let [_, has_magnetometer] = correction.has();
@@ -159,8 +159,8 @@ impl MotionRecording {
                 position_m,
                 quaternion: quaternion.unwrap_or([f64::NAN; 4]),
             }));
-            for ((_, column), other) in motion.other.iter_mut().zip(&mut others) {
-                let value: Option<[f64; 1]> = other.at(row, time_ns);
+            if let (Some(column), Some(moves)) = (&mut motion.moving, &mut moves) {
+                let value: Option<[f64; 1]> = moves.at(row, time_ns);
                 column.push(value.map_or(f64::NAN, |[value]| value));
             }
             last_s = Some(time_s);

@@ -16,7 +16,7 @@ pub struct Aids {
     pub profile: MotionProfile,
     /// Positions of another system, CSV or LINK
     ///
-    /// Position, velocity or heading by another system (columns: docs/explanation/fixes.md); a LINK too if INPUT is one
+    /// Position, velocity or heading by another system (columns: docs/how-to/position.md); a LINK too if INPUT is one
     #[arg(long, value_name = "FIXES.csv|LINK")]
     pub fixes: Option<PathBuf>,
     /// Ranges to anchors, CSV or LINK

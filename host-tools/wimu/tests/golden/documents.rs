@@ -6,14 +6,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::{env, fs};
 
 use libtest_mimic::{Failed, Trial};
+use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::board::Board;
 use crate::split;
 
 /// Command lines that are not run, by their beginning.
@@ -36,8 +38,11 @@ const PAGES: [&str; 4] =
 
 const REFERENCE: &str = "docs/reference/commands.md";
 
-/// Simulated seconds a second: a minute of poses, or of `--for 60` beside a board, takes three seconds.
-const SPEED: f64 = 20.0;
+/// Simulated seconds a second: a minute of poses, or of `--for 60` beside a board, takes six seconds.
+const SPEED: f64 = 10.0;
+
+/// Held by the page that has a board: several at this speed would not keep up with their clocks.
+static ONE_BOARD: Mutex<()> = Mutex::new(());
 
 pub fn trials() -> Vec<Trial> {
     let mut trials: Vec<Trial> = pages()
@@ -208,6 +213,39 @@ fn shown(output: &str, block: &[String]) -> Vec<String> {
     shown
 }
 
+/// `wimu simulate`, stopped at the end of its page.
+struct Board {
+    program: Child,
+    cable: String,
+    wireless: String,
+    _only: MutexGuard<'static, ()>,
+}
+
+impl Board {
+    fn start(options: &str) -> Result<Self, String> {
+        let only = ONE_BOARD.lock().unwrap_or_else(PoisonError::into_inner);
+        let line = format!(
+            "simulate {options} --speed {SPEED} --cable 127.0.0.1:0 --wireless 127.0.0.1:0 --json"
+        );
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wimu"));
+        command.args(split(&line)).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut program = command.spawn().map_err(|error| error.to_string())?;
+        let mut first = String::new();
+        let stdout = program.stdout.as_mut().ok_or("no output")?;
+        BufReader::new(stdout).read_line(&mut first).map_err(|error| error.to_string())?;
+        let envelope: Value = serde_json::from_str(&first).map_err(|error| error.to_string())?;
+        let link = |name: &str| envelope["data"][name].as_str().unwrap_or_default().to_owned();
+        Ok(Self { program, cable: link("cable"), wireless: link("wireless"), _only: only })
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        let _ = self.program.kill();
+        let _ = self.program.wait();
+    }
+}
+
 /// What the command lines of a page share.
 struct Script {
     folder: TempDir,
@@ -239,7 +277,8 @@ impl Script {
             return Err("no command of wimu: run it, or name it in NOT_RUN".to_owned());
         };
         if let Some(options) = words.strip_prefix("simulate") {
-            self.board = Some(Board::start(&format!("{options} --speed {SPEED}")));
+            self.board = None;
+            self.board = Some(Board::start(options)?);
             return Ok(String::new());
         }
         let mut words = words.to_owned();

@@ -7,6 +7,7 @@
 mod folder;
 mod header;
 mod layout;
+mod measurements;
 mod names;
 mod presets;
 mod rows;
@@ -25,9 +26,11 @@ use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 use header::Table;
 pub(super) use layout::si_of;
 use layout::{Group, Layout};
+pub(crate) use measurements::{Column as MeasuredColumn, Measurements};
 use rows::{Count, Fault};
 use survey::{Column, Survey};
 use times::Times;
+pub(crate) use units::{ANGLE, LENGTH, NUMBER, SPEED, TIME};
 use values::Conversion;
 
 use super::{ReadOptions, Source};

@@ -34,11 +34,11 @@ impl fmt::Display for HandEye {
         if let (Some([rotation, position]), Some(birge)) = (self.noise, self.birge_ratio) {
             writeln!(
                 out,
-                "based on {} poses; noise {}° and {} mm; blocks scatter {} times as white noise would",
+                "based on {} poses; noise {}° and {} mm; errors correlated in time multiply σ by {}",
                 self.poses[0],
                 significant(rotation.to_degrees(), 2),
                 significant(1e3 * position, 2),
-                significant(birge.max(0.0).sqrt(), 2)
+                significant(birge.max(1.0).sqrt(), 2)
             )?;
         }
         write!(out, "{}", self.outcome)

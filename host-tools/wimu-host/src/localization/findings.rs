@@ -131,7 +131,7 @@ pub(super) fn after(
     }
     if run.navigator.contradictions > 0 {
         let text = format!(
-            "later ranges contradict the path by far more than σ at {} times: it is not smoothed across",
+            "the path is inconsistent with later ranges at {} times: points before are not smoothed with data after",
             run.navigator.contradictions
         );
         found.push(Code::Navigation.note(text));

@@ -130,7 +130,7 @@ impl MotionRecording {
     /// Why there is no magnetic field, for a finding.
     pub(crate) fn without_field(&self) -> &'static str {
         if self.field_uncalibrated {
-            "there is a magnetometer, but it is not calibrated and not used (calibrate it with `wimu calibrate FILE --sensor \
+            "there is a magnetometer, but it is not calibrated and not used (calibrate it with `wimu calibrate FILE --method \
              magnetometer --with CAL.json -o BOTH.json`, then navigate with --with BOTH.json)"
         } else {
             "no magnetometer"

@@ -1,4 +1,4 @@
-//! Lines of source: those of Rust outside and in tests by place, and those of other languages.
+//! Lines of source: those of Rust outside and in tests by place, and those of other languages; words of the documents.
 //!
 //! Tests are folders `tests`, files `tests.rs`, and items under `cfg(test)`, with the file or folder of a module that is
 //! such an item. Examples and benches count as code; blank lines and comments count.
@@ -30,6 +30,16 @@ const PLACES: [(&str, &[&str]); 13] = [
 /// Languages beside Rust, by the ends of their files' names.
 const OTHERS: [(&str, &[&str]); 3] =
     [("JavaScript", &["js", "mjs"]), ("CSS", &["css"]), ("Python", &["py"])];
+/// Parts of the documents: a name, and the files and folders that are counted in it. Words are
+/// separated by white space, as `wc -w` counts them: tables, code and output included. Not counted: CHANGELOG.md.
+const DOCUMENTS: [(&str, &[&str]); 6] = [
+    ("README, CONTRIBUTING", &["README.md", "CONTRIBUTING.md"]),
+    ("docs/start", &["docs/start", "docs/README.md", "docs/samples"]),
+    ("docs/how-to", &["docs/how-to"]),
+    ("docs/explanation", &["docs/explanation"]),
+    ("docs/reference", &["docs/reference"]),
+    ("READMEs of crates, firmware, tests", &["crates", "firmware", "host-tools", "tests"]),
+];
 
 /// Prints the lines of all files that git tracks or would track.
 pub fn run(sh: &Shell) -> Result {
@@ -71,6 +81,16 @@ pub fn run(sh: &Shell) -> Result {
     println!("{:<42}{:>14}{:>10}", "lines", "outside tests", "in tests");
     for (name, code, tests) in rows {
         println!("{name:<42}{code:>14}{tests:>10}");
+    }
+    println!("\n{:<42}{:>14}", "documents", "words");
+    for (name, starts) in DOCUMENTS {
+        let mut words = 0;
+        for file in files.iter().filter(|file| ends_with(file, &["md"])) {
+            if starts.iter().any(|start| file.starts_with(start)) {
+                words += sh.read_file(file)?.split_whitespace().count();
+            }
+        }
+        println!("{name:<42}{words:>14}");
     }
     Ok(())
 }

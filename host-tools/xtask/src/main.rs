@@ -47,7 +47,7 @@ enum Task {
     Test(Selection),
     /// Before a release: everything that `test` leaves out
     Release(Selection),
-    /// Count the lines of Rust outside and in tests, and of other languages
+    /// Count the lines of Rust outside and in tests, of other languages, and the words of the documents
     Lines,
     /// Build every board; target/firmware gets the files for the boards' drives
     Firmware,
@@ -78,6 +78,8 @@ enum Task {
     },
     /// Write docs/reference/validation.md from docs/reference/validation
     Validation,
+    /// Write docs/reference/commands.md from the help of the commands, and the outputs that the documents show
+    Reference,
 }
 
 #[derive(clap::Args)]
@@ -117,6 +119,10 @@ fn run(task: Task) -> Result {
         Task::Miri => release::miri(&sh),
         Task::Campaign { name, seed } => campaign::run(&sh, &name, seed),
         Task::Validation => validation::write(&sh),
+        Task::Reference => {
+            let test = cmd!(sh, "cargo test -p wimu --test golden -- documents");
+            Ok(test.env("WIMU_WRITE_DOCS", "1").run()?)
+        }
     }
 }
 

@@ -38,7 +38,7 @@ impl fmt::Display for HandEye {
                 self.poses[0],
                 significant(rotation.to_degrees(), 2),
                 significant(1e3 * position, 2),
-                significant(birge.max(0.0).sqrt(), 2)
+                significant(birge.max(1.0).sqrt(), 2)
             )?;
         }
         write!(out, "{}", self.outcome)

@@ -16,7 +16,7 @@ pub struct Aids {
     pub profile: MotionProfile,
     /// Measurements of other systems, CSV or LINK
     ///
-    /// Position, velocity, heading, pressure or speed by another system (columns: docs/explanation/fixes.md); a LINK too if
+    /// Position, velocity, heading, pressure or speed by another system (columns: docs/how-to/position.md); a LINK too if
     /// INPUT is one
     #[arg(long, value_name = "FIXES.csv|LINK")]
     pub fixes: Option<PathBuf>,

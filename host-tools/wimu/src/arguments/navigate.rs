@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::{OsStringValueParser, TypedValueParser as _};
 use clap::{Args, ValueEnum};
 use wimu_host::inertial::{StartPose, Zupt};
 
@@ -36,7 +37,13 @@ pub struct Navigate {
     ///
     /// A LINK, or a recording of any format; of other programs: corrected samples, or with --with the sensor's
     /// output. With anchors in the setup alone: ranges
-    #[arg(required_unless_present = "print_setup", default_value = "", hide_default_value = true)]
+    // The parser of paths refuses the empty default.
+    #[arg(
+        required_unless_present = "print_setup",
+        default_value = "",
+        hide_default_value = true,
+        value_parser = OsStringValueParser::new().map(PathBuf::from)
+    )]
     pub input: PathBuf,
     /// Stop after this time, s
     #[arg(hide_short_help = true, long = "for", value_name = "SECONDS", value_parser = seconds, help_heading = "Output")]

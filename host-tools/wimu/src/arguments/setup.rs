@@ -33,7 +33,7 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 # σ of its positions, mm, and of the sensors' delays, µs:
 #place_sd_mm = 0.5
 #delay_sd_us = 300
-# Estimate positions and delays and write them to this file; used if they predict other parts of the recording better:
+# Estimate positions and delays and write them to this file. Kept only if they improve the held-out half:
 #refine = "GEOMETRY.json"
 
 # Full scale of each accelerometer of one body, ± g: they are merged into one. A recording of wimu has them.

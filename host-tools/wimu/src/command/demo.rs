@@ -143,7 +143,7 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
         ),
         format!(
             "4 calibrate  9 parameters from gravity alone ({}); bias error {worst_bias_mg:.2} mg{}",
-            outcome.report.terms.join(", "),
+            outcome.report.terms.join(", ").replace("misalignment_3", "3 misalignments"),
             six.calibrated
         ),
         format!(

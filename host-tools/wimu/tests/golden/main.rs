@@ -1,9 +1,10 @@
 //! Expected outputs of the command: the cases of `tests/golden/*.toml`, run in this process through [`wimu::run`].
 //!
 //! `cargo test -p wimu --test golden -- PART` runs the cases whose name contains PART. `tests/golden/README.md` describes
-//! the files.
+//! the files. The documents are checked as well: `-- documents`.
 
 mod board;
+mod documents;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -97,7 +98,7 @@ fn main() -> ExitCode {
         let trial = |case: Case| Trial::test(format!("{name}: {}", case.name), || check(case));
         group.case.into_iter().map(trial).collect::<Vec<_>>()
     });
-    let trials = trials.collect();
+    let trials = trials.chain(documents::trials()).collect();
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
 }
 
@@ -272,6 +273,13 @@ impl Ran {
 }
 
 fn words(line: &str) -> Vec<String> {
+    let mut words = split(line);
+    words.push("--json".to_owned());
+    words
+}
+
+/// The words of a command line, separated by spaces except between double quotes.
+fn split(line: &str) -> Vec<String> {
     let mut words = Vec::new();
     for (number, part) in line.split('"').enumerate() {
         if number % 2 == 1 {
@@ -280,7 +288,6 @@ fn words(line: &str) -> Vec<String> {
             words.extend(part.split_whitespace().map(str::to_owned));
         }
     }
-    words.push("--json".to_owned());
     words
 }
 

@@ -269,8 +269,11 @@ impl<B: Bus> Lsm6dso<B> {
         let mut bytes = [[0; 2 * TR_C_WORDS as usize]; BURST / 2];
         let bytes = bytes.get_mut(..count).unwrap_or_default();
         self.registers.read(TR_C_FIFO_DATA_OUT, bytes.as_flattened_mut()).await?;
-        if self.pattern_status().await?.0.overrun {
-            batch.overrun = true;
+        let (after, place) = self.pattern_status().await?;
+        if after.overrun || place != 0 {
+            // Words were dropped during the burst.
+            batch.overrun |= after.overrun;
+            batch.gap = true;
             return Ok(batch);
         }
         for (sample, bytes) in samples.iter_mut().zip(&*bytes) {

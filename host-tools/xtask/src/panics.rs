@@ -13,7 +13,7 @@ use crate::setup::{TARGETS, embedded_cargo};
 use crate::{Result, cargo_target};
 
 /// The libraries, with the features that add functions.
-const LIBRARIES: [(&str, &str); 7] = [
+const LIBRARIES: [(&str, &str); 8] = [
     ("wimu-model", ""),
     ("wimu-integrator", ""),
     ("wimu-link", "auth"),

@@ -198,12 +198,13 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     assert_eq!(data.len(), boot.corrected().len());
     let sd = session.set.gyroscope.unwrap().sd.unwrap();
     let sent: BTreeMap<_, _> = boot.attitude.iter().map(|a| (a.sequence, a)).collect();
+    // At rest, before scale factors add to it, σ is that of the bias.
+    for axis in 0..3 {
+        let found = data[0][16 + 4 * axis].sqrt();
+        assert!((found - f64::from(sd[axis])).abs() < 1e-6, "{axis}: {found} {sd:?}");
+    }
     for (fields, sample) in data.iter().zip(boot.corrected()) {
         assert_eq!(fields[13..16], AngularRateQ20(sample.rate.unwrap()).to_rad_s());
-        for axis in 0..3 {
-            let found = fields[16 + 4 * axis].sqrt();
-            assert!((found - f64::from(sd[axis])).abs() < 1e-6, "{axis}: {found} {sd:?}");
-        }
         match sent.get(&sample.sequence).map(|attitude| Attitude::to_quaternion(attitude)) {
             Some([w, x, y, z]) => assert_eq!(fields[..5], [x, y, z, w, 0.0]),
             None => assert_eq!(fields[..5], [0.0, 0.0, 0.0, 1.0, -1.0]),

@@ -250,7 +250,9 @@ fn a_person_calibrates_a_board_by_the_page_alone() {
     let cable = format!("tcp://{address}");
     browser.value(&tab, "choose('settings')");
     let zupt = "document.querySelector('#view-settings [aria-label=\"zero-velocity updates\"]')";
-    browser.until(&tab, &format!("{zupt}?.value === 'on'"));
+    // They are shown once they are read.
+    browser.until(&tab, "document.querySelector('#view-settings .main')?.disabled === false");
+    assert_eq!(browser.value(&tab, &format!("{zupt}.value")), "on");
     browser.value(&tab, &format!("{zupt}.value = 'off'"));
     browser.click(&tab, "Write to the board");
     browser.until(&tab, "document.body.innerText.includes('written: the board holds')");

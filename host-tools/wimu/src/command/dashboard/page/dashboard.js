@@ -691,8 +691,9 @@ function settingsCard(board) {
     const boxes = control.tagName === "SPAN";
     return { name, of, link, get: () => (boxes ? checked(control) : control.value), set: (value) => (boxes ? check(control, value.split(",")) : (control.value = value)) };
   });
+  const save = el("button", { textContent: "Write to the board", className: "main", disabled: true, onclick: () => write() });
   let held = null, asked = false;
-  const show = (found) => { if (!found) return; held = found; rows.forEach((row) => row.set(String(row.of(found)))); };
+  const show = (found) => { if (!found) return; held = found; save.disabled = false; rows.forEach((row) => row.set(String(row.of(found)))); };
   const read = () => board.ask({ do: "settings", options: [] }).then(show);
   const write = async () => {
     const changes = rows.filter((row) => row.get() !== String(row.of(held)));
@@ -706,7 +707,7 @@ function settingsCard(board) {
     if (!board.state || board.state.replay) return text(result, "A recording has no settings.");
     if (!asked && server.writes) { asked = true; read(); }
   };
-  return { element: el("article", {}, top.element, form, el("div", { className: "row" }, el("button", { textContent: "Write to the board", className: "main", onclick: () => held && write() }), el("button", { textContent: "Read again", onclick: read })), result), draw };
+  return { element: el("article", {}, top.element, form, el("div", { className: "row" }, save, el("button", { textContent: "Read again", onclick: read })), result), draw };
 }
 
 // The view of files is one card a file, and a list.

@@ -144,7 +144,7 @@ impl<const M: usize> ArraySolver<M> {
             weights: [0.0; M],
             used: have,
             rank: 0,
-            variance: variance,
+            variance,
             arm_m: arm,
             centre_m: centre.into(),
         };

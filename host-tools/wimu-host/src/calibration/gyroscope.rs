@@ -21,8 +21,6 @@ const USUAL_DPS: f64 = 2000.0;
 const TOLERANCE: f64 = 0.1;
 /// Largest departure of a scale factor from 1 at which a usual sensitivity is taken: counterfeits are 10 % off.
 const USABLE: f64 = 0.16;
-/// Ratio of errors after turns that are alike.
-const ALIKE: f64 = 1.1;
 /// Usual sensitivities, LSB per °/s: of ±250 to ±2000 °/s by InvenSense, of ±245 to ±2000 °/s by ST (datasheets of MPU-6050,
 /// LSM6DSO), and of the ITG-3200.
 const USUAL_LSB_PER_DPS: [f64; 9] =
@@ -157,8 +155,8 @@ fn at_rests(
     }
 }
 
-/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with usable scale factors and about
-/// the smallest error after turns, the one with scale factors nearest to 1.
+/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with scale factors within the
+/// tolerance, else of the usable ones, the one with the smallest error after turns.
 fn usual<T>(
     estimate: impl Fn(f64) -> Option<(GyroscopeEstimate, T)>,
 ) -> Option<((GyroscopeEstimate, T), f64)> {
@@ -168,11 +166,11 @@ fn usual<T>(
         let matrix = estimate.model.terms().matrix;
         (0..3).map(|axis| (matrix[axis][axis] - 1.0).abs()).fold(0.0, f64::max)
     };
-    let mut fits: Vec<_> = found.filter(|((estimate, _), _)| off(estimate) < USABLE).collect();
-    let least_rad =
-        fits.iter().map(|((estimate, _), _)| estimate.rms_rad).fold(f64::INFINITY, f64::min);
-    fits.retain(|((estimate, _), _)| estimate.rms_rad <= ALIKE * least_rad);
-    fits.into_iter().min_by(|((a, _), _), ((b, _), _)| off(a).total_cmp(&off(b)))
+    let far = |estimate: &GyroscopeEstimate| off(estimate) >= TOLERANCE;
+    let fits = found.filter(|((estimate, _), _)| off(estimate) < USABLE);
+    fits.min_by(|((a, _), _), ((b, _), _)| {
+        far(a).cmp(&far(b)).then(a.rms_rad.total_cmp(&b.rms_rad))
+    })
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {

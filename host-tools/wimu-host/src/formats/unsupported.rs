@@ -62,7 +62,8 @@ pub(super) fn detect(source: &Source) -> bool {
 
 /// Refuses it.
 pub(super) fn read(source: &Source, _: &ReadOptions, _: &mut dyn Sink) -> Result<()> {
-    let (name, remedy) = named(source).unwrap_or(("no known format", "see docs/reference/formats.md"));
+    let (name, remedy) =
+        named(source).unwrap_or(("no known format", "see docs/reference/formats.md"));
     let message = format!("this is {name}, which wimu does not read");
     Err(Code::UnknownFormat.error(message, remedy).at(source.name()))
 }

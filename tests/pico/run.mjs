@@ -1,5 +1,6 @@
 // Runs an image for a while. Usage: node run.mjs IMAGE.uf2 SECONDS FOLDER [SCRIPT.json]
 //
+// WIMU_PICO_SENSOR=mpu6050: the sensor is an MPU-6050 instead of an ADXL345.
 // FOLDER gets wireless.bin and cable.bin, what came out of UART0 and UART1, and report.json. SCRIPT
 // is a list of {"at_ms", "uart", "hex"}, bytes to send, {"at_ms", "uart", "baud"}, the rate of the
 // other end from then on, and {"at_ms", "do"}: "unplug" and "plug" the sensor, "exchange" it for
@@ -10,18 +11,20 @@
 import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
 import { Adxl345 } from './adxl345.mjs';
 import { Pico } from './machine.mjs';
+import { Mpu6050 } from './mpu6050.mjs';
 
 const [image, seconds, folder, script] = process.argv.slice(2);
 const pico = new Pico();
 const INT1 = 6;
 const noise = (number, axis) => Math.sin(number * (1.7 + axis)) * 0.004;
-const sensor = new Adxl345(
+const isMpu = process.env.WIMU_PICO_SENSOR === 'mpu6050';
+const sensor = new (isMpu ? Mpu6050 : Adxl345)(
   pico.clock,
   (level) => pico.setPin(INT1, level),
   (number) => [0.05 + noise(number, 0), -0.04 + noise(number, 1), 0.98 + noise(number, 2)],
   0.021,
 );
-pico.connect(0x53, sensor);
+pico.connect(isMpu ? 0x68 : 0x53, sensor);
 pico.load(readFileSync(image));
 
 const actions = script ? JSON.parse(readFileSync(script)) : [];

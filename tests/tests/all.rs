@@ -8,6 +8,7 @@ mod fuzz;
 mod noisy_link;
 #[path = "pico/main.rs"]
 mod pico;
+mod pico_mpu6050;
 mod pushes;
 #[path = "qemu/main.rs"]
 mod qemu;

@@ -38,10 +38,4 @@ impl<T: Clone + Default, const N: usize> Blocks<T, N> {
     pub fn all(&self) -> &[T] {
         &self.blocks
     }
-
-    /// The complete blocks.
-    pub fn complete(&self) -> &[T] {
-        let incomplete = usize::from(self.filled < self.length);
-        &self.blocks[..self.blocks.len().saturating_sub(incomplete)]
-    }
 }

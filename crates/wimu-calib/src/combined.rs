@@ -10,13 +10,8 @@ use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, Temp
 
 use crate::estimate::TermDeviations;
 use crate::terms;
-use crate::{
-    Covariance, Estimate, Gravity, Parameter, Parameters, Reason, Refusal, Term, Terms, student,
-};
-use regression::{LEAST_SD, Sessions, slope_of};
-
-/// Probability that the session that departs most of those without a fault reaches the limit.
-const FALSE_ALARM: f64 = 0.0027;
+use crate::{Covariance, Estimate, Gravity, Parameter, Parameters, Reason, Refusal, Term, Terms};
+use regression::{Sessions, slope_of};
 
 /// Several sessions of one sensor, combined.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,8 +35,6 @@ pub struct Combined {
     pub slope_sd: TermDeviations,
     /// Temperatures of the sessions, if all have one.
     pub temperature: Option<CalibratedTemperature>,
-    /// The session that departs most from the others, with three or more sessions.
-    pub worst: Option<Departure>,
 }
 
 /// Parameters that have one standard deviation between sessions.
@@ -68,20 +61,6 @@ impl Group {
     }
 }
 
-/// A session that departs from the others.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Departure {
-    /// Its index.
-    pub session: usize,
-    /// The parameter that departs.
-    pub parameter: Parameter,
-    /// Difference to its prediction by the other sessions, in standard deviations.
-    pub sigmas: f64,
-    /// Student's limit, which the worst of sessions without a fault exceeds in 0.27 % of
-    /// calibrations.
-    pub limit: f64,
-}
-
 /// Combines the sessions of one sensor, each fitted with the same method and with the mean of
 /// `gravity` taken as exact. Each has its own parameters; `gravity` is common to all.
 ///
@@ -89,10 +68,10 @@ pub struct Departure {
 /// [`Refusal`] names the session that does not go with the first.
 pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Refusal> {
     check(estimates)?;
-    let sessions = Sessions::new(estimates, None);
+    let sessions = Sessions::new(estimates);
     let found = Group::ALL.map(|group| sessions.between(group));
     // The covariance is that of the mean of what τ² can be.
-    let expected = found.map(|between| sessions.expected(&between));
+    let expected = Group::ALL.map(|group| sessions.expected(group, found[group as usize]));
     let lines = Parameter::ALL.map(|p| sessions.line(p, expected[Group::of(p) as usize]));
     let best = Parameter::ALL.map(|p| sessions.line(p, found[Group::of(p) as usize].variance));
 
@@ -124,14 +103,13 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
         dof: found.map(|between| between.dof),
         slope_sd,
         temperature: sessions.temperature(),
-        worst: departure(estimates),
     })
 }
 
 fn check(estimates: &[Estimate]) -> Result<(), Refusal> {
     let [first, _, ..] = estimates else {
         let have = estimates.len();
-        let text = format!("{have} of at least 2 sessions: record one more session");
+        let text = format!("{have} of at least 2 sessions. Record one more.");
         return Err(Refusal::new(Reason::TooFew { have, need: 2 }, text));
     };
     for (session, estimate) in estimates.iter().enumerate() {
@@ -150,7 +128,7 @@ fn check(estimates: &[Estimate]) -> Result<(), Refusal> {
         } else {
             continue;
         };
-        let text = format!("session {session} {why}");
+        let text = format!("Session {session} {why}.");
         return Err(Refusal::new(Reason::Input { index: session }, text));
     }
     Ok(())
@@ -171,40 +149,4 @@ fn model(theta: &terms::Theta, sessions: &Sessions<'_>) -> Result<ErrorModel, Mo
         },
         nonlinearity: [0.0; 3],
     })
-}
-
-/// The session whose difference to the prediction by the others is the largest share of its limit.
-fn departure(estimates: &[Estimate]) -> Option<Departure> {
-    let mut worst: Option<Departure> = None;
-    let fitted = estimates.first()?.fitted;
-    let tests = (estimates.len() * fitted.iter().count()) as f64;
-    if estimates.len() < 3 {
-        return None;
-    }
-    for (session, estimate) in estimates.iter().enumerate() {
-        let others = Sessions::new(estimates, Some(session));
-        let found = Group::ALL.map(|group| others.between(group));
-        let theta = terms::theta_of(&estimate.model);
-        let dt = others.kelvin(estimate);
-        for parameter in fitted.iter() {
-            let between = found[Group::of(parameter) as usize];
-            let line = others.line(parameter, between.variance);
-            let own = estimate.covariance.get(parameter, parameter) + between.variance;
-            let sd = libm::sqrt(line.variance(dt) + own.max(LEAST_SD * LEAST_SD));
-            let off = theta[parameter.index()] - line.level - line.slope * dt;
-            let departs = Departure {
-                session,
-                parameter,
-                sigmas: libm::fabs(off) / sd,
-                limit: student::two_sided(FALSE_ALARM / tests, between.dof),
-            };
-            let share = |d: &Departure| d.sigmas / d.limit;
-            if between.dof >= 1.0
-                && worst.as_ref().is_none_or(|before| share(&departs) > share(before))
-            {
-                worst = Some(departs);
-            }
-        }
-    }
-    worst
 }

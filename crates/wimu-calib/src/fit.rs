@@ -84,7 +84,7 @@ pub(crate) fn fit<'a>(
         None => near_solution(&mut problem, what),
     };
     if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
-        return Err(defect().unwrap_or_else(|| knowledge.refusal(what, &problem.free)));
+        return Err(defect().unwrap_or_else(|| knowledge.refusal()));
     }
     let Some((fit, knowledge)) = fit.zip(knowledge) else {
         return Err(defect().unwrap_or_else(not_converged));
@@ -96,8 +96,8 @@ pub(crate) fn fit<'a>(
 }
 
 pub(crate) fn not_converged() -> Refusal {
-    let text = "no error model gives these poses equal magnitude: check that the sensor was still, not saturated, and \
-                that every axis works";
+    let text = "No error model gives these poses the same magnitude. Check that the sensor was at rest, that it was not \
+                saturated, and that every axis works.";
     Refusal::new(Reason::PoorFit { rms: f64::INFINITY, index: 0 }, text)
 }
 
@@ -312,8 +312,8 @@ impl Found<'_> {
 fn poor_fit(residuals: &Residuals) -> Refusal {
     let (rms, index) = (residuals.rms_mps2(), residuals.worst_pose);
     let text = format!(
-        "the best model leaves {:.0} mm/s² rms: pose {index} (from 0) fits worst; leave it out, and check that the \
-         sensor was still and not saturated",
+        "The residuals are {:.0} mm/s² rms, the largest in pose {index} (from 0). Leave that pose out, and check that the \
+         sensor was at rest and not saturated.",
         rms * 1e3
     );
     Refusal::new(Reason::PoorFit { rms, index }, text)
@@ -321,14 +321,14 @@ fn poor_fit(residuals: &Residuals) -> Refusal {
 
 fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal {
     let (predicted, index) = (left_out.rms_mps2(), left_out.worst_pose);
-    let predicts = if predicted.is_finite() {
-        format!("predicts a pose left out only to {:.2}", predicted * 1e3)
+    let error = if predicted.is_finite() {
+        format!("the leave-one-out error is {:.2} mm/s² rms", predicted * 1e3)
     } else {
-        "cannot predict a pose left out".into()
+        "the others do not determine the model".into()
     };
     let text = format!(
-        "the {model} fits its own poses to {:.2} mm/s² rms but {predicts}: pose {index} (from 0) dominates the fit; \
-         add poses in other orientations, unlike those you have",
+        "Pose {index} (from 0) dominates the fit of the {model}: {error}, the residuals are {:.2}. Add poses in other \
+         orientations.",
         rms_mps2 * 1e3
     );
     Refusal::new(Reason::PoorPrediction { index }, text)
@@ -339,10 +339,10 @@ pub(crate) fn too_few_poses(have: usize, what: MultiPosition) -> Refusal {
     let need = what.parameters() + 1;
     let text = match have {
         0 => format!(
-            "no static pose: hold the sensor still for two seconds in each of {need} orientations or more"
+            "No static pose was found. Hold the sensor still for two seconds in each of {need} orientations or more."
         ),
         _ => format!(
-            "{have} static pose{}, the {} needs at least {need}: add poses in other orientations",
+            "{have} static pose{}, the {} needs {need} or more. Add poses in other orientations.",
             if have == 1 { "" } else { "s" },
             what.model
         ),

@@ -2,13 +2,13 @@
 
 mod advice;
 mod checks;
-mod filter;
+mod model;
 mod rests;
 mod turn;
 
 pub use advice::{GyroscopeAdvice, TurnFault};
 
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 use wimu_model::{
     ErrorModel, GyroscopeModel, GyroscopeParameters, GyroscopeTerms, ModelError,
     STANDARD_GRAVITY_MPS2,
@@ -17,7 +17,7 @@ use wimu_model::{
 use alloc::vec::Vec;
 
 use crate::{Covariance, Estimate, Parameters, Pose, Refusal, student};
-use filter::{Angles, Noise, Pass};
+use model::{Angles, Fit, Noise, Point, Rotations, Squares};
 use rests::Session;
 
 /// Number of parameters: bias X, Y, Z (rad/s), A row by row, G row by row (rad/s per m/s²).
@@ -54,8 +54,8 @@ const LEAST_DOF: f64 = 3.0;
 /// A variance is raised only for residuals above their expectation by this many standard deviations of
 /// χ²: otherwise chance alone would raise it in every other session.
 const CHANCE: f64 = 0.5;
-/// Most passes, and the relative change at which the fit has converged.
-const PASSES: usize = 20;
+/// Most rounds, and the relative change of the variances at which the fit has converged.
+const ROUNDS: usize = 20;
 const SETTLED: f64 = 0.02;
 /// An outlier is larger than this, rad (1°), and than this multiple of the rms of the other turns; at most one
 /// turn of this number is left out.
@@ -163,19 +163,20 @@ impl GyroscopeSession<'_> {
         let mut session = Session::new(self);
         let start = checks::plausible(&session)?;
         loop {
-            let (theta, pass, noise) = fit(&session, start)?;
-            let Angles { worst_rad, count, .. } = pass.angles;
+            let found =
+                fit(&session, start).ok_or_else(|| checks::inconsistent(&Angles::default()))?;
+            let Angles { worst_rad, worst_turn, count, .. } = found.angles;
             let (least, times, share) = OUTLIER;
-            let is_outlier = worst_rad > least.max(times * pass.angles.others_rad());
+            let is_outlier = worst_rad > least.max(times * found.angles.others_rad());
             let left = session.contradicted.len();
             if is_outlier && share * (left + 1) <= count + left {
-                session.contradicted.push(pass.angles.worst_turn);
+                session.contradicted.push(worst_turn);
                 continue;
             }
-            if pass.angles.rms_rad() > LARGEST_RAD {
-                return Err(checks::inconsistent(&pass.angles));
+            if found.angles.rms_rad() > LARGEST_RAD {
+                return Err(checks::inconsistent(&found.angles));
             }
-            return result(&session, &theta, &pass, &noise)
+            return result(&session, &found)
                 .map_err(|error| Refusal::out_of_bounds(error, "a gyroscope"));
         }
     }
@@ -186,71 +187,54 @@ fn perfect() -> Theta {
     Theta::from_fn(|i, _| if matches!(i, 3 | 7 | 11) { 1.0 } else { 0.0 })
 }
 
-/// Iterates the linear filter, and the variances with it: equation (149).
-fn fit(session: &Session<'_>, start: checks::Start) -> Result<(Theta, Pass, Noise), Refusal> {
-    let mut theta = perfect();
-    (theta.fixed_rows_mut::<3>(0)).copy_from(&start.bias);
+/// A fit with the variances that its residuals show.
+struct Found {
+    fit: Fit,
+    noise: Noise,
+    squares: [Squares; 2],
+    angles: Angles,
+}
+
+/// Iterates the fit, and the variances with it: equation (149).
+fn fit(session: &Session<'_>, start: checks::Start) -> Option<Found> {
+    let mut at = Point::zeros();
+    at.fixed_rows_mut::<PARAMETERS>(0).copy_from(&perfect());
+    at.fixed_rows_mut::<3>(0).copy_from(&start.bias);
     let mut noise = Noise { sample: start.sample_variance, bias: BIAS_WALK, turn: TURN_ERROR[1] };
     let mut last = None;
-    for round in 0..PASSES {
-        let none = || checks::inconsistent(&Angles::default());
-        let pass = filter::pass(session, &theta, &noise).ok_or_else(none)?;
-        let moved = (0..PARAMETERS).map(|i| pass.change[i].abs() / sd(&pass, i));
-        let moved = moved.fold(0.0, f64::max);
-        theta += pass.change;
-        let mut settled = moved < SETTLED;
-        let used = noise;
-        // The linearisation must be near the solution before residuals show the noise.
-        if round > 1 {
-            let [rests, turns] = residuals(&pass, &theta);
-            settled &= scale(&mut noise.bias, [BIAS_WALK; 2], rests);
-            settled &= scale(&mut noise.turn, TURN_ERROR, turns);
+    for round in 0..ROUNDS {
+        let model = Rotations::new(session, &at, noise)?;
+        let fit = model.fit(&at)?;
+        let (squares, angles) = (model.squares(&fit)?, model.angles(&fit.at));
+        at = fit.at;
+        last = Some(Found { fit, noise, squares, angles });
+        // The covariance of the residuals must be that near the solution before they show the noise.
+        if round == 0 {
+            continue;
         }
-        let done = settled && round > 1;
-        last = Some((theta, pass, used));
-        if done {
+        let [rests, turns] = squares;
+        let settled = [
+            scale(&mut noise.bias, [BIAS_WALK; 2], rests),
+            scale(&mut noise.turn, TURN_ERROR, turns),
+        ];
+        if settled == [true; 2] {
             break;
         }
     }
-    let found = last.filter(|(theta, ..)| theta.iter().all(|x| x.is_finite()));
-    found.ok_or_else(|| checks::inconsistent(&Angles::default()))
-}
-
-fn sd(pass: &Pass, i: usize) -> f64 {
-    libm::sqrt(pass.covariance[(i, i)].max(f64::MIN_POSITIVE))
-}
-
-/// Squared residuals over their variances at rests and after turns, without the cost of the prior, and
-/// their degrees of freedom.
-fn residuals(pass: &Pass, theta: &Theta) -> [(f64, f64); 2] {
-    let mut found = [&pass.rests, &pass.turns].map(|squares| (squares.sum, squares.count));
-    let change = theta - perfect();
-    for i in 0..PARAMETERS {
-        let prior = PRIOR_SD[i] * PRIOR_SD[i];
-        let (sum, dof) = &mut found[usize::from((MATRIX..G_SENSITIVITY).contains(&i))];
-        *sum -= change[i] * change[i] / prior;
-        *dof -= 1.0 - (pass.covariance[(i, i)] / prior).min(1.0);
-    }
-    found
+    last.filter(|found| found.fit.at.iter().all(|x| x.is_finite()))
 }
 
 /// Brings a variance to that of the residuals; the typical one if they are too few. Whether it was.
-fn scale(variance: &mut f64, [least, typical]: [f64; 2], (squares, dof): (f64, f64)) -> bool {
-    let before = *variance;
-    let ratio = squares / (dof + CHANCE * libm::sqrt(2.0 * dof.max(0.0)));
-    *variance = match dof < LEAST_DOF {
-        true => typical,
-        false => (before * ratio).max(least),
-    };
+fn scale(variance: &mut f64, [least, typical]: [f64; 2], squares: Squares) -> bool {
+    let (before, Squares { sum, dof }) = (*variance, squares);
+    let ratio = sum / (dof + CHANCE * libm::sqrt(2.0 * dof.max(0.0)));
+    *variance = if dof < LEAST_DOF { typical } else { (before * ratio).max(least) };
     *variance == before || dof >= LEAST_DOF && (ratio - 1.0).abs() < SETTLED
 }
 
-fn result(
-    session: &Session<'_>,
-    theta: &Theta,
-    pass: &Pass,
-    noise: &Noise,
-) -> Result<GyroscopeEstimate, ModelError> {
+fn result(session: &Session<'_>, found: &Found) -> Result<GyroscopeEstimate, ModelError> {
+    let Found { fit, noise, squares, angles } = found;
+    let theta: Theta = fit.at.fixed_rows::<PARAMETERS>(0).into();
     let rows = |at: usize| [0, 1, 2].map(|r| [0, 1, 2].map(|c| theta[at + 3 * r + c]));
     let model = GyroscopeModel::new(GyroscopeTerms {
         bias_rad_s: [theta[0], theta[1], theta[2]],
@@ -258,27 +242,25 @@ fn result(
         g_sensitivity: rows(G_SENSITIVITY),
         ..GyroscopeTerms::default()
     })?;
-    let mut covariance = pass.covariance;
+    let mut covariance: SMatrix<f64, PARAMETERS, PARAMETERS> =
+        fit.inverse.fixed_view::<PARAMETERS, PARAMETERS>(0, 0).into();
     // The vertical component of the Earth's rate is G = Ω/g on the diagonal.
-    let earth = filter::EARTH / (STANDARD_GRAVITY_MPS2 * STANDARD_GRAVITY_MPS2);
+    let earth = model::EARTH / (STANDARD_GRAVITY_MPS2 * STANDARD_GRAVITY_MPS2);
     for (a, b) in DIAGONAL.map(|a| DIAGONAL.map(|b| (a, b))).into_iter().flatten() {
         covariance[(G_SENSITIVITY + a, G_SENSITIVITY + b)] += earth;
     }
+    let known = [noise.bias <= BIAS_WALK, noise.turn <= TURN_ERROR[0]];
+    let dof = |k: usize| if known[k] { f64::INFINITY } else { squares[k].dof.max(LEAST_DOF) };
     Ok(GyroscopeEstimate {
         model,
         covariance: covariance.into(),
-        dof: {
-            let [rests, turns] = residuals(pass, theta).map(|(_, dof)| dof.max(LEAST_DOF));
-            let known = [noise.bias <= BIAS_WALK, noise.turn <= TURN_ERROR[0]];
-            [(rests, known[0]), (turns, known[1])]
-                .map(|(dof, known)| if known { f64::INFINITY } else { dof })
-        },
+        dof: [dof(0), dof(1)],
         bias_walk_rad_s_rts: libm::sqrt(noise.bias),
         turn_error: libm::sqrt(noise.turn),
-        turns: pass.angles.count,
+        turns: angles.count,
         before_rad: session.angles(nalgebra::Matrix3::identity(), false).rms_rad(),
-        rms_rad: pass.angles.rms_rad(),
-        left_out: session.left_out(theta),
+        rms_rad: angles.rms_rad(),
+        left_out: session.left_out(&theta),
     })
 }
 

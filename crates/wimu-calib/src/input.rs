@@ -17,8 +17,7 @@ pub(crate) fn check<'a>(
             && entry.sd_mps2.iter().all(|sd| sd.is_finite())
             && entry.rounding_sd_mps2.iter().all(|sd| sd.is_finite());
         if !finite {
-            let text =
-                format!("pose {pose} (from 0) has a value that is not a finite number: remove it");
+            let text = format!("Pose {pose} (from 0) is not finite. Remove it.");
             return Err(Refusal::new(Reason::Input { index: pose }, text));
         }
         sum += libm::sqrt(entry.mean_mps2.iter().map(|y| y * y).sum());
@@ -182,7 +181,7 @@ pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
     let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
     let magnitude = magnitudes(poses).nth(pose)?;
     let text =
-        format!("pose {pose} (from 0) looks like g among poses in m/s²: give all in one unit");
+        format!("Pose {pose} (from 0) looks like g, the others like m/s². Give all in one unit.");
     alike.then(|| Refusal::new(Reason::Unit { magnitude, hint: UnitHint::G }, text))
 }
 

@@ -259,6 +259,9 @@ impl<P: Clone> Fit<P> {
 }
 
 #[cfg(test)]
+mod thermal_bias;
+
+#[cfg(test)]
 mod tests {
     use alloc::vec;
 

@@ -121,7 +121,7 @@ pub fn magnetometer(
     let (have, need) = (poses.len(), FEWEST);
     if have < need {
         let text = format!(
-            "{have} poses with a magnetic field, {need} are needed: hold it in more orientations"
+            "{have} poses with a magnetic field, {need} or more are needed. Hold it in more orientations."
         );
         return Err(Refusal::new(Reason::TooFew { have, need }, text));
     }
@@ -129,7 +129,7 @@ pub fn magnetometer(
         let size = |v: [f64; 3]| Vector3::from(v).norm();
         if !(size(entry.output_nt) < 1e300 && size(entry.up) > 1e-6 && size(entry.up) < 1e9) {
             let text = format!(
-                "pose {pose} (from 0) has a field or a direction that is zero or not finite: remove it"
+                "The field or the direction of pose {pose} (from 0) is zero or not finite. Remove it."
             );
             return Err(Refusal::new(Reason::Input { index: pose }, text));
         }
@@ -160,7 +160,8 @@ fn without_suspects(
 ) -> Result<MagneticEstimate, Refusal> {
     loop {
         let mut suspect = None;
-        let outcome = fit::model(poses, &rejected, &mut suspect);
+        let kept: Vec<usize> = (0..poses.len()).filter(|k| !rejected.contains(k)).collect();
+        let outcome = fit::model(poses, &kept, &mut suspect);
         match suspect {
             Some(pose) if spares(poses.len(), rejected.len() + 1) => rejected.push(pose),
             _ => return outcome.map(|model| MagneticEstimate { model, rejected }),
@@ -208,8 +209,8 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), R
         String::from("an axis of the magnetometer is negated, or two are exchanged")
     };
     let text = format!(
-        "the field's dip seems to be {:+.0}°, opposite to that of the location: {axes}; correct the order and signs of its \
-         axes in the driver or, if they are right, give the dip of the location (negative south of the magnetic equator)",
+        "The dip is {:+.0}°, opposite to that of the location: {axes}. Correct order and signs of its axes or, if they are \
+         right, give the dip of the location (negative south of the magnetic equator)",
         dip_rad.to_degrees()
     );
     Err(Refusal::new(Reason::Axes, text))
@@ -218,8 +219,8 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), R
 /// The refusal of a field of this magnitude.
 fn not_earths(field_nt: f64) -> Refusal {
     let text = format!(
-        "the field seems to be {:.3e} µT, the Earth's is 22 to 67: check the unit (1 G is 100 µT), and that no magnet or \
-         motor is near",
+        "The field is {:.3e} µT, that of the Earth 22 to 67. Check the unit (1 G is 100 µT), and that no magnet or motor is \
+         near.",
         field_nt * 1e-3
     );
     Refusal::new(Reason::Unit { magnitude: field_nt, hint: UnitHint::NotGravity }, text)
@@ -237,8 +238,8 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), Refusal> {
     }
     if let Some(axis) = (0..3).find(|axis| span[*axis] < LEAST_SHARE * widest) {
         let text = format!(
-            "the magnetometer's axis {} says the same in all poses: it is dead, or every pose was turned about it; hold the \
-             board on other sides",
+            "Axis {} of the magnetometer reads the same in all poses: it is dead, or the rotation axis of every pose. Hold \
+             the board on other sides.",
             name(axis)
         );
         return Err(Refusal::new(Reason::Axis { axis, clipped: false }, text));
@@ -260,8 +261,7 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), Refusal> {
         };
         if at().count() >= CLIPPED && at().filter(elsewhere).count() + 1 >= CLIPPED {
             let text = format!(
-                "the magnetometer's axis {} stands at {:.1} µT in several poses: it is at its limit; take away the magnet \
-                 that drives it there",
+                "Axis {} of the magnetometer is saturated: {:.1} µT in several poses. Remove the magnet nearby.",
                 name(axis),
                 limit * 1e-3
             );

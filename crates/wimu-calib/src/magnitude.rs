@@ -14,7 +14,7 @@ use crate::least_squares::{self, ResidualModel, Rows, Scaled, Settings};
 use crate::terms::{PERFECT, Slot, Theta};
 use crate::visits::Visits;
 use crate::weights::Weighting;
-use crate::{Model, MultiPosition, Orientation, Parameters, Pose, Reason, Refusal, Terms};
+use crate::{Orientation, Pose, Reason, Refusal};
 
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
 /// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
@@ -93,8 +93,6 @@ pub(crate) struct Knowledge {
     pub amplification: f64,
     /// That orientation: a pose there adds most information.
     pub poorest: Orientation,
-    /// Variance of each parameter for residuals of unit variance, in terms of the error at 1 g.
-    variance: Vec<f64>,
 }
 
 impl Knowledge {
@@ -102,47 +100,35 @@ impl Knowledge {
         self.amplification < MOST_AMPLIFICATION
     }
 
-    pub fn refusal(&self, what: MultiPosition, free: &[Slot]) -> Refusal {
-        let largest = self.variance.iter().copied().fold(0.0, f64::max);
-        let poor = || {
-            let all = free.iter().zip(&self.variance);
-            all.filter(|(_, variance)| **variance >= 0.1 * largest).map(|(&slot, _)| slot)
-        };
-        let grows = if self.amplification < 1e4 {
-            format!(
-                "condition {:.0}, an error in a pose grows {:.0} times elsewhere",
-                self.condition, self.amplification
-            )
-        } else {
-            "elsewhere the output could be anything".into()
-        };
-        let parameters = poor().filter_map(Slot::parameter).collect();
-        let terms = poor().filter_map(Slot::term).collect();
-        not_observable(what.model, parameters, terms, &grows, self.poorest)
+    pub fn refusal(&self) -> Refusal {
+        let number = thousands(self.condition);
+        let text = format!(
+            "These poses do not determine the model (condition number {number}). {}",
+            add_poses(self.poorest)
+        );
+        Refusal::new(Reason::NotObservable, text)
     }
 }
 
-/// The refusal of parameters and terms that the poses do not determine: `because`, and a pose at `add` helps most.
-pub(crate) fn not_observable(
-    model: Model,
-    parameters: Parameters,
-    terms: Terms,
-    because: &str,
-    add: Orientation,
-) -> Refusal {
-    let mut names = String::new();
-    if !parameters.is_empty() {
-        names += &format!("{parameters}");
+/// What to do where the error is largest in an orientation.
+pub(crate) fn add_poses(poorest: Orientation) -> String {
+    format!("Add poses with {poorest}, and with {}.", poorest.opposite())
+}
+
+/// A number in groups of three digits.
+fn thousands(value: f64) -> String {
+    if value > 1e9 {
+        return format!("{value:.0e}");
     }
-    if terms != Terms::NONE {
-        let comma = if names.is_empty() { "" } else { ", " };
-        names += &format!("{comma}{terms}");
+    let digits = format!("{value:.0}");
+    let mut text = String::new();
+    for (k, digit) in digits.chars().enumerate() {
+        if k > 0 && (digits.len() - k).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
     }
-    let text = format!(
-        "the poses do not determine {names} of the {model}: {because}; add a pose with {add}, and others unlike those \
-         you have"
-    );
-    Refusal::new(Reason::NotObservable, text)
+    text
 }
 
 impl Magnitude<'_> {
@@ -415,11 +401,10 @@ impl Magnitude<'_> {
         let (amplification, poorest) = self.worst(theta, inverse)?;
         let n = self.free.len();
         let scaled = DMatrix::from_fn(n, n, |r, c| inverse[(r, c)] / (units[r] * units[c]));
-        let variance = scaled.diagonal().iter().copied().collect();
         let values = scaled.symmetric_eigenvalues();
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = values.max() * f64::EPSILON * 0.5;
         let condition = libm::sqrt(values.max() / values.min().max(floor));
-        Some(Knowledge { condition, amplification, poorest, variance })
+        Some(Knowledge { condition, amplification, poorest })
     }
 }

@@ -1,14 +1,12 @@
 //! Overlapping Allan deviation of a sensor at rest, computed sample by sample.
 
-mod course;
-mod curve;
 mod ends;
 mod rest;
+mod terms;
 
 use alloc::format;
+use alloc::vec::Vec;
 
-use course::Course;
-use curve::{Curve, Spans, fewest_edf};
 use ends::Ends;
 pub use ends::is_clipped;
 use rest::{Limits, Rest};
@@ -76,7 +74,7 @@ impl Measured {
     }
 }
 
-/// Noise of an axis: σ²(τ) = 3Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2.
+/// Noise of an axis: σ²(τ) = N²/τ + (2 ln 2/π) B² + K² τ/3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisNoise {
     /// N, velocity random walk, m/s/√s. √2 N is the one-sided noise density of datasheets,
@@ -87,13 +85,6 @@ pub struct AxisNoise {
     pub bias_instability_mps2: Option<Measured>,
     /// K, acceleration random walk, m/s²/√s; `None` if not significant.
     pub acceleration_random_walk: Option<Measured>,
-    /// Whether B and K are withheld because a single event, such as warm-up or a jump, explains the
-    /// long averaging times (significance level 0.01).
-    pub is_one_event: bool,
-    /// R, linear drift, m/s² per s, as during warm-up; `None` if not significant.
-    pub ramp_mps3: Option<Measured>,
-    /// Q, quantisation noise or vibration at short times, m/s; `None` if not significant.
-    pub quantisation_mps: Option<Measured>,
     /// Smallest σ(τ), m/s²: the limit of averaging.
     pub floor_mps2: f64,
     /// Averaging time of `floor_mps2`, s.
@@ -214,7 +205,6 @@ pub struct AllanVariance {
     /// By averaging time.
     squares: [Squares; POINTS],
     rest: Rest,
-    course: Course,
     /// Sum of all samples minus the first.
     total: [f64; 3],
     /// The previous sample, and the smallest change from one to the next.
@@ -248,7 +238,6 @@ impl AllanVariance {
             levels: [const { Level::new() }; LEVELS],
             squares: [Squares::ZERO; POINTS],
             rest: Rest::new(rate_hz, limits),
-            course: Course::new(),
             total: [0.0; 3],
             last: [0.0; 3],
             step: [f64::INFINITY; 3],
@@ -287,7 +276,6 @@ impl AllanVariance {
         self.run += 1;
         self.longest_run = self.longest_run.max(self.run);
         self.rest.take(off);
-        self.course.take(off);
         self.ends.take(off);
         self.keep();
     }
@@ -339,12 +327,17 @@ impl AllanVariance {
         (all.count > 0).then(|| all.sum.map(|sum| sum / (2.0 * n * length * length)))
     }
 
+    /// Degrees of freedom of an averaging time in white, flicker and random-walk noise.
+    fn dof(&self, place: usize) -> [f64; 3] {
+        terms::degrees_of_freedom(self.longest_run as f64, cluster(place) as f64)
+    }
+
     /// The curve, shortest averaging time first, as far as the points have enough degrees of
     /// freedom.
     pub fn points(&self) -> impl Iterator<Item = AllanPoint> + '_ {
         (0..POINTS).filter_map(|place| {
             let length = cluster(place) as f64;
-            let edf = fewest_edf(self.longest_run as f64, length);
+            let edf = self.dof(place).into_iter().fold(f64::INFINITY, f64::min);
             let variance = self.variance(place).filter(|_| edf >= LEAST_EDF)?;
             Some(AllanPoint {
                 tau_s: length / self.rate_hz,
@@ -390,45 +383,35 @@ impl AllanVariance {
             );
             return Err(Refusal::new(Reason::Moved { index: at_s as usize }, text));
         }
-        let counts = self.squares.map(|squares| squares.count as f64);
-        let spans = Spans::new(self.longest_run, &counts);
-        let [x, y, z] = [0, 1, 2].map(|axis| self.axis(axis, &spans));
+        let [x, y, z] = [0, 1, 2].map(|axis| self.axis(axis));
         Ok([x?, y?, z?])
     }
 
-    fn axis(&self, axis: usize, spans: &Spans) -> Result<AxisNoise, Refusal> {
-        let mut curve = Curve::new(self.rate_hz, self.longest_run);
-        let (mut floor_mps2, mut floor_tau_s) = (f64::INFINITY, 0.0);
-        let mut sample_sd_mps2 = 0.0;
-        for (place, point) in self.points().enumerate() {
-            let deviation = point.deviation_mps2[axis];
-            if deviation <= 0.0 || deviation.is_nan() {
-                return Err(dead(axis));
-            }
-            if place == 0 {
-                sample_sd_mps2 = deviation;
-            }
-            curve.add(place, deviation * deviation, point.edf);
-            if deviation < floor_mps2 {
-                (floor_mps2, floor_tau_s) = (deviation, point.tau_s);
-            }
+    fn axis(&self, axis: usize) -> Result<AxisNoise, Refusal> {
+        let points: Vec<terms::Point> = self
+            .points()
+            .enumerate()
+            .map(|(place, point)| terms::Point {
+                tau_s: point.tau_s,
+                variance: point.deviation_mps2[axis] * point.deviation_mps2[axis],
+                dof: self.dof(place),
+            })
+            .collect();
+        if !points.iter().all(|point| point.variance > 0.0) {
+            return Err(dead(axis));
         }
-        let fitted = curve.fit(spans).ok_or_else(|| dead(axis))?;
-        let [quantisation, white, flicker, walk, ramp] = fitted.terms;
-        let is_one_event =
-            (flicker.is_some() || walk.is_some()) && self.course.is_one(axis, ramp.is_some());
-        let [flicker, walk] = [flicker, walk].map(|noise| noise.filter(|_| !is_one_event));
+        let fitted = terms::fit(&points).ok_or_else(|| dead(axis))?;
+        let [Some(white), flicker, walk] = fitted.terms else { return Err(dead(axis)) };
+        let lowest = points.iter().min_by(|a, b| a.variance.total_cmp(&b.variance));
+        let floor = lowest.ok_or_else(|| dead(axis))?;
+        let sample_sd_mps2 = libm::sqrt(points[0].variance);
         let step_mps2 = self.step[axis];
         Ok(AxisNoise {
-            velocity_random_walk: white
-                .unwrap_or(Measured { value: 0.0, sd: floor_mps2 * libm::sqrt(floor_tau_s) }),
+            velocity_random_walk: white,
             bias_instability_mps2: flicker,
             acceleration_random_walk: walk,
-            is_one_event,
-            ramp_mps3: ramp,
-            quantisation_mps: quantisation,
-            floor_mps2,
-            floor_tau_s,
+            floor_mps2: libm::sqrt(floor.variance),
+            floor_tau_s: floor.tau_s,
             misfit: fitted.misfit,
             white_from_s: fitted.white_from_s,
             sample_sd_mps2,

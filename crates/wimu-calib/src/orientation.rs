@@ -114,6 +114,12 @@ impl Orientation {
         if code > 13 { code - 1 } else { code }
     }
 
+    /// Upside down.
+    #[must_use]
+    pub fn opposite(self) -> Self {
+        Self(self.0.map(|sign| -sign))
+    }
+
     /// Number of axes with a vertical component: 1 a face, 2 an edge, 3 a corner.
     pub(crate) fn axes(self) -> usize {
         self.0.iter().filter(|sign| **sign != 0).count()

@@ -122,13 +122,11 @@ pub(crate) struct Contradicted {
 impl Contradicted {
     pub fn refusal(&self) -> Refusal {
         let Self { pose, or, off_mps2, .. } = *self;
-        let other = or.map_or(String::new(), |other| {
-            format!("; or pose {other} is the outlier, too few poses distinguish them")
-        });
+        let other =
+            or.map_or(String::new(), |other| format!(" Pose {other} may be the outlier instead."));
         let text = format!(
-            "pose {pose} (from 0) differs significantly, by {:.0} mm/s², from the fit of the others{other}: the sensor \
-             was moved, touched or saturated there; repeat that pose, or leave it out, and add two in other \
-             orientations",
+            "Pose {pose} (from 0) differs significantly, by {:.0} mm/s², from the fit of the others.{other} Repeat it, and \
+             add two poses in other orientations.",
             off_mps2.abs() * 1e3
         );
         Refusal::new(Reason::Contradicted { index: pose, or }, text)

@@ -1,5 +1,8 @@
 //! Static poses, the input of the estimators.
 
+/// cos 10°.
+pub(crate) const SAME_ORIENTATION_COS: f64 = 0.984_8;
+
 /// One static pose: the output of the sensor while it was held still.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
@@ -25,6 +28,12 @@ impl Pose {
     /// A pose of which only the mean output, m/s², sensor axes, is known.
     pub fn from_mean(mean_mps2: [f64; 3]) -> Self {
         Self { mean_mps2, samples: 1, ..Self::default() }
+    }
+
+    /// Whether another pose has the same orientation: their outputs are within 10°.
+    pub fn is_like(&self, other: &Self) -> bool {
+        let [a, b] = [self, other].map(|pose| nalgebra::Vector3::from(pose.mean_mps2));
+        a.dot(&b) > SAME_ORIENTATION_COS * a.norm() * b.norm()
     }
 
     /// Variance of the mean of an axis from noise and quantisation, (m/s²)²; 0 if unknown. Equation

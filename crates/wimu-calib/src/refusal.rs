@@ -94,15 +94,18 @@ impl Refusal {
     /// A parameter that is not plausible for `sensor`.
     pub(crate) fn out_of_bounds(error: ModelError, sensor: &str) -> Self {
         let text = format!(
-            "the result is not plausible for {sensor}: {error}; check the unit, the sensitivity and that no pose is \
-             saturated or moving"
+            "The result is not plausible for {sensor}: {error}. Check the unit, the sensitivity, and that no pose is \
+             saturated or moving."
         );
         Self::new(Reason::OutOfBounds(error), text)
     }
 
     /// A magnitude in the wrong unit.
     pub(crate) fn unit(what: &str, magnitude: f64, hint: UnitHint) -> Self {
-        Self::new(Reason::Unit { magnitude, hint }, format!("the {what} is {magnitude:.4}, {hint}"))
+        Self::new(
+            Reason::Unit { magnitude, hint },
+            format!("The {what} is {magnitude:.4}, {hint}."),
+        )
     }
 
     /// Poses whose mean magnitude cannot be gravity in m/s².
@@ -113,8 +116,8 @@ impl Refusal {
     /// An axis with the same extreme reading in several poses.
     pub fn saturated(axis: usize) -> Self {
         let text = format!(
-            "axis {} has the same extreme reading in several poses: it is saturated; choose a larger range and repeat \
-             the poses",
+            "Axis {} is saturated: it has the same extreme reading in several poses. Choose a larger range and repeat the \
+             poses.",
             crate::orientation::axis_name(axis)
         );
         Self::new(Reason::Axis { axis, clipped: true }, text)
@@ -123,8 +126,8 @@ impl Refusal {
     /// An axis with the same reading in every pose, although the others change.
     pub(crate) fn stuck(axis: usize) -> Self {
         let text = format!(
-            "axis {} reads the same in every pose: it is dead or stuck at full scale, or was never rotated; check it, \
-             and hold it up and down",
+            "Axis {} reads the same in every pose: it is dead, stuck at full scale, or was never rotated. Hold it up and \
+             down, and check it.",
             crate::orientation::axis_name(axis)
         );
         Self::new(Reason::Axis { axis, clipped: false }, text)
@@ -144,7 +147,7 @@ impl Refusal {
         if self.needs_poses() {
             let mut smaller = core::iter::successors(model.smaller(), |model| model.smaller());
             if let Some(model) = smaller.find(|model| supported(*model)) {
-                self.text += &format!(", or use the {model}, which these poses support");
+                self.text += &format!(" These poses support the {model}.");
             }
         }
         self

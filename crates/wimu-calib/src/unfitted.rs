@@ -1,13 +1,14 @@
 //! Effect of parameters that a smaller model leaves out: equation (42a).
 
+use alloc::format;
 use alloc::vec::Vec;
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::force::Evaluated;
-use crate::magnitude::{Fit, Magnitude, Shared, not_observable};
+use crate::magnitude::{Fit, Magnitude, Shared, add_poses};
 use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
-use crate::{Model, MultiPosition, Orientation, Parameters, Refusal, Terms};
+use crate::{Model, MultiPosition, Orientation, Parameters, Reason, Refusal, Terms};
 
 /// A parameter is undetermined if its standard deviation exceeds this fraction of the prior: with
 /// the residuals taken into account, and from the prior alone.
@@ -122,9 +123,14 @@ impl Unfitted {
     /// The refusal, if parameters are undetermined.
     pub fn refusal(&self, model: Model) -> Option<Refusal> {
         let sound = self.parameters.is_empty() && self.terms == Terms::NONE;
-        let because =
-            "typical scale factors and misalignments, which it leaves out, would bias them";
-        let refusal = || not_observable(model, self.parameters, self.terms, because, self.poorest);
+        let refusal = || {
+            let text = format!(
+                "These poses do not determine the {model}: typical scale factors and misalignments, which it leaves out, \
+                 bias it. {}",
+                add_poses(self.poorest)
+            );
+            Refusal::new(Reason::NotObservable, text)
+        };
         (!sound).then(refusal)
     }
 }

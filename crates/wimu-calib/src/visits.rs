@@ -5,9 +5,8 @@ use alloc::vec::Vec;
 use nalgebra::Vector3;
 
 use crate::Pose;
+use crate::pose::SAME_ORIENTATION_COS;
 
-/// cos 10°: poses whose outputs differ by less have the same orientation.
-const ALIKE: f64 = 0.984_8;
 /// Repetition counts as such when at least one pose in five repeats an orientation: a few random
 /// poses may be close to each other, and they do not show how repeated poses differ.
 const FIFTH: usize = 5;
@@ -25,7 +24,7 @@ impl Visits {
         let mut visits = Self { first: Vec::new(), group: Vec::new() };
         for pose in poses {
             let up = Vector3::from(pose.mean_mps2).normalize();
-            let known = visits.first.iter().position(|first| first.dot(&up) > ALIKE);
+            let known = visits.first.iter().position(|first| first.dot(&up) > SAME_ORIENTATION_COS);
             visits.group.push(known.unwrap_or(visits.first.len()));
             if known.is_none() {
                 visits.first.push(up);

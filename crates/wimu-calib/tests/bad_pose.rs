@@ -155,7 +155,7 @@ fn a_bad_pose_that_cannot_be_spared_is_named_with_what_to_do() {
     let refused = nine(&poses).expect_err("contradicted");
     assert_eq!(refused.reason, Reason::Contradicted { index: 5, or: Some(6) });
     let said = refused.to_string();
-    assert!(said.contains("pose 5 (from 0)") && said.contains("add two"), "{said}");
+    assert!(said.contains("Pose 5 (from 0)") && said.contains("add two"), "{said}");
     assert!(matches!(
         auto(&poses),
         Err(Refusal { reason: Reason::Contradicted { index: 5, .. }, .. })

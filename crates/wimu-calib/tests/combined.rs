@@ -209,31 +209,6 @@ fn an_error_of_gravity_is_common_to_all_sessions() {
 }
 
 #[test]
-fn a_session_that_departs_is_named_and_others_rarely() {
-    let (mut named, mut false_alarms) = (Coverage::default(), Coverage::default());
-    for seed in 0..trials(1000) as u64 {
-        let mut sensor = Sensor::new(seed, LARGE.map(|sd| 0.3 * sd), false);
-        let sessions = sensor.sessions(5, 0.0);
-        let exceeds = |found: &Combined| found.worst.filter(|worst| worst.sigmas > worst.limit);
-        let found = combine(&sessions, exact()).expect("an answer");
-        false_alarms.count(exceeds(&found).is_some());
-
-        let mut knocked = sessions.clone();
-        let mut terms: ErrorTerms = sensor.at_25.into();
-        terms.bias_mps2[1] += 0.3;
-        sensor.at_25 = ErrorModel::new(terms).expect("within bounds");
-        knocked[3] = sensor.session(None);
-        let found = combine(&knocked, exact()).expect("an answer");
-        named.count(
-            exceeds(&found)
-                .is_some_and(|worst| worst.session == 3 && worst.parameter == Parameter::BiasY),
-        );
-    }
-    false_alarms.assert_can_be(0.0..=0.0027, "sessions without a fault");
-    named.assert_can_be(0.97..=1.0, "a session with another bias");
-}
-
-#[test]
 fn sessions_that_do_not_go_together_are_refused() {
     let mut sensor = Sensor::new(1, LARGE, true);
     let sessions = sensor.sessions(3, 30.0);

@@ -4,13 +4,13 @@ use std::f64::consts::{PI, TAU};
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, cross, exact, norm, unit};
+use common::{DrawModel as _, G, Random, cross, exact, norm};
 use wimu_calib::{
     AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeSession, Model,
     MultiPosition, Pose, Reason, Refusal, SixAxisSample, TurnFault, multi_position_with,
 };
 use wimu_model::{ErrorModel, GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, draws, figure, rms_ratio_can_be};
+use wimu_testkit::{Coverage, coverage_figure, draws};
 
 const STEP_S: f64 = 0.01;
 /// Of a sample: 0.01 °/s/√Hz; m/s².
@@ -176,182 +176,12 @@ fn found(estimate: &GyroscopeEstimate) -> [f64; 21] {
     all(terms.bias_rad_s, terms)
 }
 
-/// Of a symmetric positive definite matrix, by Gauss and Jordan.
-fn inverse(mut m: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let n = m.len();
-    for p in 0..n {
-        let pivot = 1.0 / m[p][p];
-        let row: Vec<f64> = (0..n).map(|c| if c == p { pivot } else { m[p][c] * pivot }).collect();
-        for (r, other) in m.iter_mut().enumerate() {
-            let factor = other[p];
-            for c in 0..n {
-                let old = if c == p { 0.0 } else { other[c] };
-                other[c] = if r == p { row[c] } else { old - factor * row[c] };
-            }
-        }
-    }
-    m
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Two directions across `up`.
-fn tangents(up: [f64; 3]) -> [[f64; 3]; 2] {
-    let side = if up[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-    let first = unit(cross(up, side));
-    [first, cross(up, first)]
-}
-
-/// The direction `up` after a turn, by the rates that `terms` gives.
-fn carried(
-    turn: &[SixAxisSample],
-    force: &ErrorModel,
-    terms: &GyroscopeTerms,
-    up: [f64; 3],
-) -> [f64; 3] {
-    let model = GyroscopeModel::new(*terms).unwrap();
-    let rate = |s: &SixAxisSample| {
-        let force = force.correct(SpecificForceMps2(s.output_mps2), None).0;
-        model.correct(s.rate_rad_s, force, None)
-    };
-    turn.windows(2).fold(up, |up, pair| {
-        let [a, b] = [rate(&pair[0]), rate(&pair[1])];
-        let vector = [0, 1, 2].map(|i| 0.5 * STEP_S * (a[i] + b[i]));
-        rotated(up, unit(vector), -norm(vector))
-    })
-}
-
-/// Cramér-Rao bound with the prior: variances of the bias at the last rest, A and G. Unknown are A, G, the
-/// bias and two tilts at each rest, and the accelerometer's nine parameters.
-fn bound(simulated: &Simulated, accelerometer: &AccelerometerCalibration) -> [f64; 21] {
-    const ACCELEROMETER: usize = 18 + 5 * RESTS;
-    let at = |rest: usize| 18 + 5 * rest;
-    let mut information = vec![vec![0.0; ACCELEROMETER + 9]; ACCELEROMETER + 9];
-    let mut add = |row: &[(usize, f64)], variance: f64| {
-        for (i, a) in row {
-            for (j, b) in row {
-                information[*i][*j] += a * b / variance;
-            }
-        }
-    };
-    for i in 0..18 {
-        let prior: f64 = if i < 9 { 0.03 } else { 1.78e-4 };
-        add(&[(i, 1.0)], prior * prior);
-    }
-    let covariance = accelerometer.covariance.matrix();
-    let fitted: Vec<usize> = (0..12).filter(|i| covariance[*i][*i] > 0.0).collect();
-    let correct = |output| simulated.force.correct(SpecificForceMps2(output), None).0;
-    let ups: Vec<[f64; 3]> = simulated.poses.iter().map(|p| unit(correct(p.mean_mps2))).collect();
-    for (k, up) in ups.iter().enumerate() {
-        for r in 0..3 {
-            let mut row = vec![(at(k) + r, 1.0)];
-            row.extend((0..3).map(|c| (9 + 3 * r + c, G * up[c])));
-            add(&row, RATE_NOISE * RATE_NOISE / REST as f64);
-        }
-        for (t, side) in tangents(*up).into_iter().enumerate() {
-            let sensitivity = |i: usize| match i {
-                0..3 => side[i],
-                _ => side[(i - 3) / 3] * G * up[(i - 3) % 3],
-            };
-            let mut row = vec![(at(k) + 3 + t, G)];
-            row.extend((0..9).map(|i| (ACCELEROMETER + i, sensitivity(fitted[i]))));
-            add(&row, FORCE_NOISE * FORCE_NOISE / REST as f64);
-        }
-        let Some(next) = simulated.poses.get(k + 1) else {
-            break;
-        };
-        let start = simulated.poses[k].first_sample as usize + REST - 1;
-        let turn = &simulated.samples[start..=next.first_sample as usize];
-        let length_s = (turn.len() - 1) as f64 * STEP_S;
-        for r in 0..3 {
-            let walk = BIAS_WALK * (length_s + REST as f64 * STEP_S);
-            add(&[(at(k) + r, -1.0), (at(k + 1) + r, 1.0)], walk);
-        }
-        const SMALL: f64 = 1e-6;
-        let terms = GyroscopeTerms { bias_rad_s: simulated.bias, ..simulated.rate };
-        let carried = |terms: &GyroscopeTerms, up| carried(turn, &simulated.force, terms, up);
-        let nominal = carried(&terms, *up);
-        let moved = |i: usize| {
-            let mut terms = terms;
-            match i {
-                0..9 => terms.matrix[i / 3][i % 3] += SMALL,
-                9..18 => terms.g_sensitivity[i / 3 - 3][i % 3] += SMALL,
-                _ => terms.bias_rad_s[i - 18] += SMALL,
-            }
-            carried(&terms, *up)
-        };
-        let moved: Vec<[f64; 3]> = (0..21).map(moved).collect();
-        let tilted = tangents(*up)
-            .map(|side| carried(&terms, unit([0, 1, 2].map(|i| up[i] + SMALL * side[i]))));
-        for side in tangents(nominal) {
-            let slope = |to: [f64; 3]| (dot(to, side) - dot(nominal, side)) / SMALL;
-            let mut row: Vec<(usize, f64)> = (0..18).map(|i| (i, slope(moved[i]))).collect();
-            for r in 0..3 {
-                let half = 0.5 * slope(moved[18 + r]);
-                row.extend([(at(k) + r, half), (at(k + 1) + r, half)]);
-            }
-            row.extend([0, 1].map(|u| (at(k) + 3 + u, slope(tilted[u]))));
-            let own = tangents(ups[k + 1]);
-            row.extend([0, 1].map(|u| (at(k + 1) + 3 + u, -dot(own[u], side))));
-            let white = RATE_NOISE * RATE_NOISE * STEP_S * length_s;
-            add(&row, white + BIAS_WALK * length_s.powi(3) / 12.0);
-        }
-    }
-    let known = |i: usize| fitted.iter().map(|j| covariance[i][*j]).collect();
-    let known = inverse(fitted.iter().map(|i| known(*i)).collect());
-    for (a, row) in known.iter().enumerate() {
-        for (b, value) in row.iter().enumerate() {
-            information[ACCELEROMETER + a][ACCELEROMETER + b] += value;
-        }
-    }
-    let all = inverse(information);
-    let place = |i: usize| if i < 3 { at(RESTS - 1) + i } else { i - 3 };
-    std::array::from_fn(|i| all[place(i)][place(i)])
-}
-
 fn session(seed: u64) -> (Simulated, Option<AccelerometerCalibration>) {
     let mut random = Random::new(seed);
     let turns = turns(&mut random);
     let simulated = Simulated::new(&mut random, &turns, 1.0);
     let accelerometer = simulated.accelerometer();
     (simulated, accelerometer)
-}
-
-#[test]
-fn errors_are_near_the_cramer_rao_bound() {
-    let mut squares = [[0.0; 2]; 21];
-    let mut used = 0;
-    for seed in 0..draws(200, 9) as u64 {
-        let (simulated, Some(accelerometer)) = session(seed) else {
-            continue;
-        };
-        let estimate = simulated.estimate(&accelerometer).expect("an estimate");
-        let (found, truth) = (found(&estimate), simulated.truth());
-        let bound = bound(&simulated, &accelerometer);
-        used += 1;
-        for i in 0..21 {
-            squares[i][0] += (found[i] - truth[i]).powi(2);
-            squares[i][1] += bound[i];
-        }
-    }
-    // The Earth's rate, of which the bound knows nothing, is most of the error of G's diagonal.
-    let ratios = squares.map(|[error, bound]| (error / bound).sqrt());
-    let kinds = [&ratios[..3], &ratios[3..12], &ratios[13..16], &ratios[17..20]];
-    println!("{ratios:.3?}");
-    let worst = kinds.concat().into_iter().fold(0.0, f64::max);
-    let mean = |r: &[f64]| (r.iter().map(|r| r * r).sum::<f64>() / r.len() as f64).sqrt();
-    let [bias, matrix] = [mean(kinds[0]), mean(kinds[1])];
-    figure(
-        "gyroscope: rms error over the Cramér-Rao bound, bias and matrix; largest of 18 parameters",
-        format!("{bias:.2}, {matrix:.2}; {worst:.2}"),
-        "at most 1.2",
-        worst <= 1.2,
-    );
-    for (kind, count) in [(bias, 3), (matrix, 9)] {
-        assert!(rms_ratio_can_be(kind, count * used, 0.9..=1.2), "{kind}");
-    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use wimu_calib::{
     multi_position_with,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
-use wimu_testkit::{Coverage, Lane, coverage_figure, draws, figure, rms_ratio_can_be, trials};
+use wimu_testkit::{Lane, figure, rms_ratio_can_be, trials};
 
 /// Poses in `count` random directions, after twelve well spread ones.
 fn spread(random: &mut Random, model: &ErrorModel, more: usize) -> Vec<Pose> {
@@ -132,85 +132,6 @@ fn garbage() -> impl Strategy<Value = f64> {
 }
 
 #[test]
-fn the_left_out_error_is_that_of_refitting_without_each_pose() {
-    for (seed, more) in [(1, 3), (2, 5), (3, 8), (4, 26), (5, 290)] {
-        let mut random = Random::new(seed);
-        let truth = random.model(true);
-        let mut poses = spread(&mut random, &truth, more);
-        add_noise(&mut random, &mut poses, 0.003);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
-        let mut squares = 0.0;
-        for k in 0..poses.len() {
-            let mut others = poses.clone();
-            let left_out = others.remove(k);
-            let without = multi_position(&others, exact(), Model::Full9).expect("an answer");
-            squares += without.residual_mps2(&left_out).powi(2);
-        }
-        let refitted = (squares / poses.len() as f64).sqrt();
-        let reported = estimate.loo_rms_mps2.expect("multi-position has it");
-        println!("{} poses: {reported} against {refitted} m/s²", poses.len());
-        // One step from the full fit, which is the refit but for terms of second order in it.
-        assert!((reported - refitted).abs() < 1e-4 * refitted);
-    }
-}
-
-#[test]
-fn the_covariance_is_the_spread_of_many_estimates() {
-    const FITTED: [Parameter; 9] = [
-        Parameter::BiasX,
-        Parameter::BiasY,
-        Parameter::BiasZ,
-        Parameter::ScaleX,
-        Parameter::ScaleY,
-        Parameter::ScaleZ,
-        Parameter::MisalignmentXy,
-        Parameter::MisalignmentXz,
-        Parameter::MisalignmentYz,
-    ];
-    let mut random = Random::new(7);
-    let truth = random.model(true);
-    let clean = spread(&mut random, &truth, 8);
-    let truth = parameters(&truth);
-    let mut spread_squares = [0.0; 9];
-    let mut predicted_squares = [0.0; 9];
-    let mut covered = Coverage::default();
-    let draws = draws(5000, 3);
-    for _ in 0..draws {
-        let mut poses = clean.clone();
-        add_noise(&mut random, &mut poses, 0.005);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
-        let found = parameters(&estimate.model);
-        for (k, parameter) in FITTED.into_iter().enumerate() {
-            let error = found[parameter.index()] - truth[parameter.index()];
-            let sd = estimate.covariance.sd(parameter);
-            spread_squares[k] += error * error;
-            predicted_squares[k] += sd * sd;
-            // 95 % point of Student's t with 11 degrees of freedom.
-            covered.count(error.abs() < 2.201 * sd);
-        }
-        assert_eq!(estimate.dof, 11);
-    }
-    let mut ratios = Vec::new();
-    for (k, parameter) in FITTED.into_iter().enumerate() {
-        let ratio = (spread_squares[k] / predicted_squares[k]).sqrt();
-        println!("{parameter}: spread / predicted = {ratio:.3}");
-        assert!(rms_ratio_can_be(ratio, draws, 1.0..=1.0), "{parameter} {ratio}");
-        ratios.push(ratio);
-    }
-    ratios.sort_by(f64::total_cmp);
-    let (least, most) = (ratios[0], ratios[8]);
-    figure(
-        "standard deviation of nine-parameter estimates over the stated one",
-        format!("{least:.3} to {most:.3}"),
-        "0.95 to 1.05",
-        least >= 0.95 && most <= 1.05,
-    );
-    let claim = "95 % intervals of nine parameters of one sensor hold the truth";
-    coverage_figure(claim, &[covered], 0.945..=0.955);
-    covered.assert_can_be(0.945..=0.955, "nine parameters");
-}
-
-#[test]
 fn the_worst_orientation_is_predicted_as_badly_as_said() {
     let mut random = Random::new(8);
     let truth = random.model(true);
@@ -238,39 +159,6 @@ fn the_worst_orientation_is_predicted_as_badly_as_said() {
     );
     // The worst of many orientations is above its own expectation.
     assert!(rms_ratio_can_be(ratio, draws, 0.95..=1.05), "{ratio}");
-}
-
-#[test]
-fn the_uncertainty_of_gravity_is_in_the_scale_factor() {
-    let mut random = Random::new(9);
-    let truth = random.model(true);
-    let poses = spread(&mut random, &truth, 8);
-    let gravity = Gravity::new(G, 0.015).expect("gravity");
-    let estimate = multi_position(&poses, gravity, Model::Full9).expect("an answer");
-    let scale = truth.terms().matrix[0][0];
-    assert!((estimate.sd().matrix[0][0] - scale * 0.015 / G).abs() < 1e-9);
-    assert!(estimate.sd().bias_mps2[0] < 1e-9);
-}
-
-#[test]
-fn twelve_poses_placed_by_hand_are_answered() {
-    for seed in 0..trials(1000) as u64 {
-        let mut random = Random::new(seed);
-        let truth = random.model(false);
-        let mut poses: Vec<Pose> = twelve()
-            .into_iter()
-            .map(|up| {
-                let up = common::misplaced(&mut random, up, 0.035);
-                pose(&truth, G, up)
-            })
-            .collect();
-        add_noise(&mut random, &mut poses, 0.002);
-        let estimate = multi_position(&poses, exact(), Model::Full9)
-            .unwrap_or_else(|refusal| panic!("seed {seed}: {refusal}"));
-        let unseen = (0..10).map(|_| pose(&truth, G, random.direction()));
-        let rms = unseen.map(|p| estimate.residual_mps2(&p).powi(2) / 10.0).sum::<f64>().sqrt();
-        assert!(rms < 0.01, "seed {seed}: {rms}");
-    }
 }
 
 #[test]
@@ -315,8 +203,8 @@ fn a_smaller_model_is_advised_where_the_poses_support_it_and_nowhere_else() {
         };
         if refusal.needs_poses() {
             let instead = smaller.into_iter().find(supports);
-            let said = instead.map(|model| format!("or use the {model}"));
-            assert_eq!(refusal.text.contains("or use"), instead.is_some(), "{refusal}");
+            let said = instead.map(|model| format!("support the {model}"));
+            assert_eq!(refusal.text.contains("support the"), instead.is_some(), "{refusal}");
             assert!(said.is_none_or(|said| refusal.text.contains(&said)), "{refusal}");
             advised += usize::from(instead.is_some());
             none += usize::from(instead.is_none());
@@ -367,12 +255,7 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
     }
     let refused = |poses| multi_position(poses, exact(), Model::Full9).expect_err("refused").text;
     let text = refused(&plane);
-    assert!(
-        text.contains("bias Z")
-            && text.contains("scale factor Z")
-            && !text.contains("scale factor X"),
-        "{text}"
-    );
+    assert!(text.contains("Z up") && text.contains("Z down"), "{text}");
     assert!(text.contains("add a pose with") && text.contains("Z "), "{text}");
     let text = refused(&faces);
     assert!(text.contains("misalignment") && !text.contains("scale factor"), "{text}");

@@ -109,7 +109,7 @@ fn ten_poses_of_an_mpu6050_give_no_nine_parameters() {
     let refusal =
         multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Full9).expect_err("refused");
     assert_eq!(refusal.reason, Reason::NotObservable);
-    assert!(refusal.text.contains("misalignment m_xy"), "{refusal}");
+    assert!(refusal.text.contains("condition number 637"), "{refusal}");
     let smaller = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("six");
     let found = [rms_mm(&smaller), loo_mm(&smaller)];
     residuals("MPU-6050, ten poses, 6 parameters", found, [None; 2]);

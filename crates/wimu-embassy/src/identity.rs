@@ -2,20 +2,21 @@
 
 use wimu_link::hello::{Capabilities, Part};
 use wimu_link::{Hello, LinkRole};
+use wimu_node::InertialSensor;
 
 use crate::start::Start;
 
-/// The identity of a device with a nominal sensitivity, for [`Board::hello`](wimu_node::Board::hello).
+/// The identity of a device with a nominal sensitivity, for [`Board::hello`](wimu_node::Board::hello): name and measured
+/// quantities of the sensor `A`, and the `capabilities` of the board.
 ///
 /// `firmware` is the version of the board's package, `env!("CARGO_PKG_VERSION")`: numbers separated by dots. A number
 /// that cannot be read is 0.
-pub fn hello(
+pub fn hello<A: InertialSensor>(
     device_id: u64,
     firmware: &str,
     start: &Start,
     capabilities: Capabilities,
     board: Part,
-    sensor: Part,
 ) -> Hello {
     let mut numbers = firmware.split('.').map(|text| text.parse().unwrap_or(0));
     Hello {
@@ -23,11 +24,11 @@ pub fn hello(
         firmware: core::array::from_fn(|_| numbers.next().unwrap_or(0)),
         reset_reason: start.reason,
         fault: start.fault,
-        capabilities,
+        capabilities: capabilities.with(A::CAPABILITIES),
         sensitivity_known: true,
         safe_mode: start.is_safe_mode(),
         board,
-        sensor,
+        sensor: A::PART,
         ..Hello::new(LinkRole::Cable)
     }
 }
@@ -37,13 +38,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_version_of_the_package_is_that_of_the_firmware() {
-        let firmware = |text| {
-            let part = Part::default();
+    fn version_and_sensor_are_those_of_the_package_and_the_driver() {
+        let found = |text| {
             let start = Start::default();
-            hello(1, text, &start, Capabilities::STORE, part, part).firmware
+            hello::<crate::packets::with_node::NoSensor>(
+                1,
+                text,
+                &start,
+                Capabilities::STORE,
+                Part::default(),
+            )
         };
-        assert_eq!(firmware("1.20.3"), [1, 20, 3]);
-        assert_eq!(firmware("2.x"), [2, 0, 0]);
+        assert_eq!(found("1.20.3").firmware, [1, 20, 3]);
+        assert_eq!(found("2.x").firmware, [2, 0, 0]);
+        assert_eq!(found("1").sensor.name.as_str(), "none");
+        let all = Capabilities::ACCELEROMETER.with(Capabilities::STORE);
+        assert!(found("1").capabilities.contains(all));
     }
 }

@@ -261,4 +261,4 @@ impl Write for PacketWriter<'_> {
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-mod with_node;
+pub(crate) mod with_node;

@@ -17,6 +17,18 @@ const CHECKS: u32 = 16;
 /// sample periods of 1 s; a status every 5 s for the others, which leaves 10 s for changes of the store.
 pub const LIMITS_US: [u64; 4] = [12_000_000, 15_000_000, 15_000_000, 15_000_000];
 
+/// [`LIMITS_US`] without those of links that their hosts can stop, as USB and Bluetooth Low Energy: the cable's writer is
+/// number 2, the wireless link's number 3.
+pub const fn without_limit<const N: usize>(writers: [usize; N]) -> [u64; 4] {
+    let mut limits = LIMITS_US;
+    let mut index = 0;
+    while index < N {
+        limits[writers[index]] = u64::MAX;
+        index += 1;
+    }
+    limits
+}
+
 /// Observes the progress of the node's tasks ([`Shared::progress`]): the sampler, the control task and the writers of both
 /// links. [`supervise`] is a task around it.
 #[derive(Clone, Debug)]

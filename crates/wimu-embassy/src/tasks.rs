@@ -7,8 +7,8 @@
 /// | `sensor` | the [`InertialSensor`](wimu_node::InertialSensor) |
 /// | `timer` | the [`Timer`](wimu_node::Timer) |
 /// | `store` | the [`Store`](wimu_node::Store) |
-/// | `links` | the receiving and the sending half of a link: both links have the same types |
-/// | `wireless` | those of the wireless link, if they differ; may be left out |
+/// | `cable` | the receiving and the sending half of the cable |
+/// | `wireless` | those of the wireless link; `(NoLink, NoLink)` without one |
 ///
 /// Expands to
 /// - `Shared` and `Node`, the types of the node,
@@ -22,7 +22,7 @@ macro_rules! tasks {
         sensor: $sensor:ty,
         timer: $timer:ty,
         store: $store:ty,
-        links: ($reader:ty, $writer:ty),
+        cable: ($reader:ty, $writer:ty),
         wireless: ($wireless_reader:ty, $wireless_writer:ty),
     ) => {
         $crate::node_tasks!(
@@ -34,26 +34,31 @@ macro_rules! tasks {
             $wireless_reader,
             $wireless_writer
         );
-        $crate::link_tasks!(1, listen, talk, $reader, $writer, $timer);
+        $crate::link_tasks!(listen, talk, $reader, $writer, $timer);
         $crate::link_tasks!(
-            1,
             listen_wireless,
             talk_wireless,
             $wireless_reader,
             $wireless_writer,
             $timer
         );
-        $crate::spawn_tasks!(listen_wireless, talk_wireless);
-    };
-    (
-        sensor: $sensor:ty,
-        timer: $timer:ty,
-        store: $store:ty,
-        links: ($reader:ty, $writer:ty),
-    ) => {
-        $crate::node_tasks!($sensor, $timer, $store, $reader, $writer, $reader, $writer);
-        $crate::link_tasks!($crate::wimu_node::LINKS, listen, talk, $reader, $writer, $timer);
-        $crate::spawn_tasks!(listen, talk);
+
+        /// Spawns the node's tasks, the sampler with `above`.
+        pub fn spawn(
+            node: &'static mut Node,
+            above: $crate::embassy_executor::SendSpawner,
+            others: $crate::embassy_executor::Spawner,
+        ) {
+            // No task is spawned more often than its pool allows.
+            above.spawn(sample(&mut node.sampler).unwrap());
+            others.spawn(control(&mut node.control).unwrap());
+            others.spawn(listen(&mut node.cable_reader).unwrap());
+            others.spawn(talk(&mut node.cable_writer).unwrap());
+            if $crate::wimu_node::LINKS > 1 {
+                others.spawn(listen_wireless(&mut node.wireless_reader).unwrap());
+                others.spawn(talk_wireless(&mut node.wireless_writer).unwrap());
+            }
+        }
     };
 }
 
@@ -126,45 +131,24 @@ macro_rules! node_tasks {
     };
 }
 
-/// The part of [`tasks!`] that spawns; the names are those of the wireless link's tasks.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! spawn_tasks {
-    ($listen:ident, $talk:ident) => {
-        /// Spawns the node's tasks, the sampler with `above`.
-        pub fn spawn(
-            node: &'static mut Node,
-            above: $crate::embassy_executor::SendSpawner,
-            others: $crate::embassy_executor::Spawner,
-        ) {
-            // No task is spawned more often than its pool allows.
-            above.spawn(sample(&mut node.sampler).unwrap());
-            others.spawn(control(&mut node.control).unwrap());
-            others.spawn(listen(&mut node.cable_reader).unwrap());
-            others.spawn(talk(&mut node.cable_writer).unwrap());
-            if $crate::wimu_node::LINKS > 1 {
-                others.spawn($listen(&mut node.wireless_reader).unwrap());
-                others.spawn($talk(&mut node.wireless_writer).unwrap());
-            }
-        }
-    };
-}
-
-/// The part of [`tasks!`] for links of one type.
+/// The part of [`tasks!`] for a link.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! link_tasks {
-    ($pool:expr, $listen:ident, $talk:ident, $reader:ty, $writer:ty, $timer:ty) => {
-        #[$crate::embassy_executor::task(pool_size = $pool, embassy_executor = $crate::embassy_executor)]
+    ($listen:ident, $talk:ident, $reader:ty, $writer:ty, $timer:ty) => {
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
         async fn $listen(
             reader: &'static mut $crate::wimu_node::LinkReader<
-                'static, $reader, $timer, $crate::Mutex,
+                'static,
+                $reader,
+                $timer,
+                $crate::Mutex,
             >,
         ) -> ! {
             reader.run().await
         }
 
-        #[$crate::embassy_executor::task(pool_size = $pool, embassy_executor = $crate::embassy_executor)]
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
         async fn $talk(
             writer: &'static mut $crate::wimu_node::LinkWriter<'static, $writer, $crate::Mutex>,
         ) -> ! {

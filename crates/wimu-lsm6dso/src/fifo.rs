@@ -37,6 +37,17 @@ impl Sample {
     }
 }
 
+/// Words of a sample of the LSM6DS3TR-C: three axes of the gyroscope, then of the accelerometer.
+pub(crate) const TR_C_WORDS: u16 = 6;
+/// Words that its FIFO holds: 4 kbyte.
+pub(crate) const TR_C_DEPTH: u16 = 2048;
+
+/// A sample of its FIFO.
+pub(crate) fn pair(bytes: [u8; 12]) -> Sample {
+    let [gx, hx, gy, hy, gz, hz, acceleration @ ..] = bytes;
+    Sample { acceleration: axes(acceleration), angular_rate: axes([gx, hx, gy, hy, gz, hz]) }
+}
+
 /// What [`Lsm6dso::read`](crate::Lsm6dso::read) found in the FIFO.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -50,8 +61,8 @@ pub struct Batch {
     /// The last fault in the sequence of words, if there was one. Samples of the same burst that
     /// came before it were dropped.
     pub fault: Option<FifoFault>,
-    /// Words that the FIFO still held after the burst, two for each sample.
-    pub words_left: u16,
+    /// Samples that the FIFO still held after the burst.
+    pub samples_left: u16,
     /// Newest temperature in the burst, LSB of 1/256 K from 25 °C.
     pub temperature: Option<i16>,
 }

@@ -10,7 +10,7 @@ mod self_test;
 mod settings;
 
 pub use bus::{Address, I2cBus};
-pub use driver::Lsm6dso;
+pub use driver::{Lsm6dso, Model};
 pub use fifo::{Batch, FifoFault, Sample};
 pub use self_test::SelfTest;
 pub use settings::{AccelerationRange, AngularRateRange, Power, Rate, Setup};

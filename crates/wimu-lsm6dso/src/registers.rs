@@ -1,4 +1,5 @@
-//! Addresses and bits of the registers that are used (DS12140 §8 and §9).
+//! Addresses and bits of the registers that are used (LSM6DSO: DS12140 §8 and §9; LSM6DS3TR-C:
+//! DS12110 §10).
 
 pub(crate) const FUNC_CFG_ACCESS: u8 = 0x01;
 pub(crate) const FIFO_CTRL1: u8 = 0x07;
@@ -19,6 +20,16 @@ pub(crate) const OUT_TEMP_L: u8 = 0x20;
 pub(crate) const OUTX_L_G: u8 = 0x22;
 pub(crate) const FIFO_STATUS1: u8 = 0x3A;
 pub(crate) const FIFO_DATA_OUT_TAG: u8 = 0x78;
+
+// Registers of the LSM6DS3TR-C that differ: those of the FIFO are one lower.
+pub(crate) const TR_C_FIFO_CTRL1: u8 = 0x06;
+pub(crate) const TR_C_FIFO_CTRL2: u8 = 0x07;
+pub(crate) const TR_C_FIFO_CTRL3: u8 = 0x08;
+pub(crate) const TR_C_FIFO_CTRL5: u8 = 0x0A;
+pub(crate) const TR_C_FIFO_DATA_OUT: u8 = 0x3E;
+pub(crate) const TR_C_STATUS2_EMPTY: u8 = 1 << 4;
+/// Both sensors in the FIFO at its rate (DEC_FIFO_GYRO, DEC_FIFO_XL).
+pub(crate) const TR_C_FIFO_CTRL3_BOTH: u8 = 0b001_001;
 
 pub(crate) const FIFO_CTRL4_CONTINUOUS: u8 = 0b110;
 /// Temperature in the FIFO at 1.6 Hz (ODR_T_BATCH).

@@ -139,7 +139,7 @@ fn nothing_is_delivered_from_a_burst_with_an_overrun() {
     ];
     let read = on_bus(&expected, async |sensor| read_batches(sensor, 2).await);
     assert!(read[0].0.overrun && read[0].1.is_empty());
-    assert_eq!(read[0].0.words_left, 512);
+    assert_eq!(read[0].0.samples_left, 256);
     assert!(read[1].1.is_empty());
 }
 
@@ -185,12 +185,12 @@ fn a_burst_has_at_most_32_words_and_what_the_buffer_holds() {
     ];
     on_bus(&expected, async |sensor| {
         let (batch, samples) = &read_batches(sensor, 1).await[0];
-        assert_eq!((batch.count, batch.words_left), (16, 480));
+        assert_eq!((batch.count, batch.samples_left), (16, 240));
         assert_eq!(samples[15], sample(15));
         let mut one = [Sample::default()];
         assert_eq!(sensor.read(&mut one).await.map(|batch| batch.count), Ok(1));
         assert_eq!(one, [sample(16)]);
-        assert_eq!(sensor.read(&mut []).await.map(|batch| batch.words_left), Ok(478));
+        assert_eq!(sensor.read(&mut []).await.map(|batch| batch.samples_left), Ok(239));
     });
 }
 

@@ -186,16 +186,16 @@ fn sensitivities_are_those_of_the_datasheet() {
 
 #[test]
 fn the_fifo_level_has_ten_bits_and_two_overrun_flags() {
-    for (bytes, words_left, overrun) in [
-        ([0x34, 0x81], 0x134, false),
-        ([0x00, 0xE2], 0x200, true),
-        ([0x05, 0x08], 5, true),
+    for (bytes, samples_left, overrun) in [
+        ([0x34, 0x81], 0x9A, false),
+        ([0x00, 0xE2], 0x100, true),
+        ([0x05, 0x08], 2, true),
         // 511 words became 512 between the two bytes.
-        ([0xFF, 0x02], 512, false),
+        ([0xFF, 0x02], 256, false),
     ] {
         let batch = on_bus(&[read(0x3A, &bytes)], async |sensor| sensor.read(&mut []).await);
         let batch = batch.expect("the bus works");
-        assert_eq!((batch.words_left, batch.overrun), (words_left, overrun));
+        assert_eq!((batch.samples_left, batch.overrun), (samples_left, overrun));
     }
     // An SPI bus without a chip.
     let absent = [read(0x3A, &[0xFF, 0xFF])];

@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     deviation_m: Vector3::repeat(FIX_M),
                     lever_arm_m: Vector3::zeros(),
                 };
-                navigator.fix(fix, 0.0, Gate::ChiSquare);
+                navigator.fix(fix, [0.0; 2], Gate::ChiSquare);
             }
             if wheels && k.is_multiple_of(WHEELS) {
                 navigator.odometer(speeds[k]);

@@ -37,6 +37,8 @@ pub fn chi_square_quantile(dof: usize) -> f64 {
 /// Test of a measurement against its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation {
+    /// Measured minus predicted value; of several values the length of their vector.
+    pub value: f64,
     /// Normalised innovation squared: χ² distributed if the filter is consistent. Not a number where the covariance is
     /// not positive definite.
     pub statistic: f64,
@@ -253,17 +255,17 @@ impl Filter {
     fn solve(&self, prediction: &Prediction) -> (Innovation, Option<Solved>) {
         let dof = prediction.z.len();
         let cross = prediction.times_ht(&self.covariance);
+        let value = if dof == 1 { prediction.z[0] } else { prediction.z.norm() };
         let Some(factor) = (prediction.by_h(&cross) + &prediction.r).cholesky() else {
-            let none = f64::NAN;
-            return (
-                Innovation { statistic: none, dof, log_likelihood: none, accepted: false },
-                None,
-            );
+            let (statistic, log_likelihood) = (f64::NAN, f64::NAN);
+            let innovation = Innovation { value, statistic, dof, log_likelihood, accepted: false };
+            return (innovation, None);
         };
         let statistic = prediction.z.dot(&factor.solve(&prediction.z));
         let log_determinant = 2.0 * factor.l_dirty().diagonal().map(libm::log).sum();
         let normalisation = dof as f64 * libm::log(core::f64::consts::TAU);
         let innovation = Innovation {
+            value,
             statistic,
             dof,
             log_likelihood: -0.5 * (statistic + log_determinant + normalisation),

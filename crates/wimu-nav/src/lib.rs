@@ -21,7 +21,6 @@ pub mod state;
 // Many accelerometers on one body.
 pub mod array;
 
-mod real;
 mod rotation;
 
 /// Standard gravity, m/s² (3rd CGPM, 1901).
@@ -29,4 +28,3 @@ pub const GRAVITY_MPS2: f64 = 9.80665;
 
 /// Vectors, matrices and rotations of the interface.
 pub use nalgebra;
-pub use real::Real;

@@ -15,7 +15,7 @@ use crate::consistency::Consistency;
 use crate::filter::{Filter, Gate, Innovation};
 use crate::process::{Process, Unmeasured};
 use crate::rotation::{about_up, yaw};
-use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Velocity, recover};
+use crate::sensor::{MagneticField, Magnetometer, Measurement, Position, Timed, Velocity, recover};
 use crate::smoother::Log;
 use crate::state::{ATTITUDE, HEADING, Layout, POSITION, Role, VELOCITY};
 use model::Model;
@@ -296,17 +296,14 @@ impl Navigator {
         innovation
     }
 
-    /// A position fix that was measured `age_s` before the last sample, by their time stamps. The states of the antenna and
-    /// of the clock are used where there are some: with [`Settings::vehicle`].
-    pub fn fix(&mut self, fix: Position, age_s: f64, gate: Gate) -> Innovation {
-        let rate_rad_s = self.angular_rate();
-        match &self.vehicle {
-            Some(vehicle) => {
-                let antenna = vehicle.antenna(fix, age_s, rate_rad_s);
-                self.update(&antenna, gate)
-            }
-            None => self.update(&fix, gate),
-        }
+    /// A position fix that was measured `age_s` before the last sample, by their time stamps, with a standard deviation of that
+    /// time. The states of the antenna and of the clock are used where there are some: with [`Settings::vehicle`].
+    pub fn fix(&mut self, fix: Position, [age_s, time_sd_s]: [f64; 2], gate: Gate) -> Innovation {
+        let Some(vehicle) = &self.vehicle else {
+            return self.update(&Timed { measurement: fix, time_sd_s }, gate);
+        };
+        let measurement = vehicle.antenna(fix, age_s, self.angular_rate());
+        self.update(&Timed { measurement, time_sd_s }, gate)
     }
 
     /// Time without a usable sample, s: a gap, or clipped or missing samples.

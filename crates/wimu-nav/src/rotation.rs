@@ -2,12 +2,7 @@
 //! vector in the navigation frame, C_true = exp(θ) C: equation (112) (Solà, "Quaternion kinematics for the error-state
 //! Kalman filter", 2017, section 7).
 
-use nalgebra::{Matrix3, RealField, Rotation3, Vector3};
-
-/// A constant in the arithmetic of an array.
-pub(crate) fn real<R: RealField>(value: f64) -> R {
-    nalgebra::convert(value)
-}
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Angle of the body x axis from east towards north, rad.
 pub(crate) fn yaw(attitude: &Rotation3<f64>) -> f64 {

@@ -25,12 +25,38 @@ use alloc::vec::Vec;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use crate::filter::Filter;
-use crate::state::Block;
+use crate::state::{Block, POSITION, VELOCITY};
 
 /// A measurement of any number of values.
 pub trait Measurement {
     /// Prediction from the state and covariance before the update.
     fn predict(&self, filter: &Filter) -> Prediction;
+}
+
+/// A measurement whose time is known to a standard deviation, s: what the unit moves within it is noise.
+#[derive(Clone, Copy, Debug)]
+pub struct Timed<M> {
+    /// The measurement.
+    pub measurement: M,
+    /// s.
+    pub time_sd_s: f64,
+}
+
+impl<M: Measurement> Measurement for Timed<M> {
+    fn predict(&self, filter: &Filter) -> Prediction {
+        let mut prediction = self.measurement.predict(filter);
+        if self.time_sd_s > 0.0 {
+            let velocity = filter.state.get(VELOCITY);
+            let mut moved = DVector::zeros(prediction.z.len());
+            for (state, derivative) in prediction.h().filter(|(k, _)| POSITION.contains(*k)) {
+                let speed = velocity[state - POSITION.start()];
+                moved += DVector::from_column_slice(derivative) * speed;
+            }
+            let variance = self.time_sd_s * self.time_sd_s;
+            prediction.r.ger(variance, &moved, &moved, 1.0);
+        }
+        prediction
+    }
 }
 
 /// Measured minus predicted values, their derivative, and the covariance of their noise.

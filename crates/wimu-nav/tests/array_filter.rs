@@ -212,7 +212,7 @@ fn hold(filter: &mut ArrayFilter<24>, random: &mut Random, count: usize) {
     }
 }
 
-fn rate_sd(state: &ArrayState<f64>) -> f64 {
+fn rate_sd(state: &ArrayState) -> f64 {
     (0..3).map(|i| state.rate_covariance[i][i]).sum::<f64>().sqrt()
 }
 

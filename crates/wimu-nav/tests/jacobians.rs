@@ -459,7 +459,7 @@ fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
 }
 
 /// Eight triads off the plane and the centre, so that centripetal acceleration is in every measured value.
-fn array() -> ArraySolver<f64, 24> {
+fn array() -> ArraySolver<24> {
     let axes = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.02).unwrap();
     ArraySolver::of(&axes, |sensor| sensor != 2).unwrap()
 }

@@ -69,7 +69,6 @@ fn clock_antenna_and_forward_axis_are_found_within_their_deviations() {
     let off = forward.cross(&truth).norm();
     assert!(off < 0.02, "{forward} {truth}");
     assert_eq!(vehicle.turns(), 0);
-    assert_eq!(vehicle.slips(), (0, 0));
 }
 
 #[test]
@@ -96,7 +95,7 @@ fn wheels_that_slip_are_not_used_and_their_scale_is_found() {
         .map(|slips| {
             let mut navigator = begin(&drive, true);
             let mut random = Random::new(12);
-            let mut slipped = 0;
+            let (mut slipped, mut failed) = (0, 0);
             for k in 0..drive.len() {
                 let t = k as f64 * 0.01;
                 push(&mut navigator, &drive, k, t < OUTAGE_S, &mut random);
@@ -104,13 +103,14 @@ fn wheels_that_slip_are_not_used_and_their_scale_is_found() {
                     // The wheels are 3 % smaller than stated; they spin for 2 s within the outage.
                     let spin = if slips && (110.0..112.0).contains(&t) { 1.5 } else { 1.0 };
                     slipped += i32::from(spin > 1.0);
-                    navigator.odometer(drive[k].speed_mps / 1.03 * spin + random.normal() * 0.05);
+                    let speed_mps = drive[k].speed_mps / 1.03 * spin + random.normal() * 0.05;
+                    let used = navigator.odometer(speed_mps);
+                    failed += i32::from(used.is_some_and(|innovation| !innovation.accepted));
                 }
             }
             let vehicle = *navigator.vehicle().unwrap();
             let scale = navigator.filter().state.get(vehicle.scale()).x;
             assert!((scale - 0.03).abs() < 0.01, "{scale}");
-            let failed = vehicle.slips().0 as i32;
             assert!((slipped..slipped + 20).contains(&failed), "{failed} of {slipped}");
             (navigator.filter().state.get(POSITION) - truth).norm()
         })

@@ -3,6 +3,7 @@
 use wimu_adxl345::{
     Bus, DataFormat, Error, Fifo, Interrupts, Justify, Range, Rate, Resolution as Step, Setup,
 };
+use wimu_link::hello::{Part, sensor};
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{Counts, PeriodNs};
 
@@ -127,6 +128,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Adxl345<B, D, T> {
     type Sample = Counts;
     type Planner = fn(&Settings) -> Result<Plan, Settings>;
     const MAGNETOMETER: bool = false;
+    const PART: Part = Part::new(sensor::ADXL345, "ADXL345");
 
     fn planner(&self) -> Self::Planner {
         Self::plan

@@ -46,6 +46,8 @@ pub struct FifoState {
     pub at: DeviceTimeUs,
     /// Samples in the FIFO.
     pub level: u16,
+    /// Samples in the FIFO at the data-ready edge; `None`: the watermark.
+    pub edge_level: Option<u16>,
     /// Whether earlier samples were lost.
     pub overrun: bool,
 }
@@ -53,7 +55,13 @@ pub struct FifoState {
 impl FifoState {
     /// `level` samples at the time `at`, after the data-ready edge at `edge_time`; no samples were lost.
     pub fn new(edge_time: DeviceTimeUs, at: DeviceTimeUs, level: u16) -> Self {
-        Self { edge_time, at, level, overrun: false }
+        Self { edge_time, at, level, edge_level: None, overrun: false }
+    }
+
+    /// The data-ready edge was that of the sample after which the FIFO held `level` samples.
+    #[must_use]
+    pub fn with_edge_at(self, level: u16) -> Self {
+        Self { edge_level: Some(level), ..self }
     }
 
     /// Whether earlier samples were lost.
@@ -121,12 +129,13 @@ impl SensorFifo {
     fn newest(&self, state: FifoState) -> DeviceTimeUs {
         let period = self.micros(1);
         let oldest = state.at.0.saturating_sub(period);
-        let by_line = (state.edge_time.0)
-            .saturating_add(self.micros(state.level.saturating_sub(self.watermark)));
+        let edge_level = state.edge_level.unwrap_or(self.watermark);
+        let by_line =
+            (state.edge_time.0).saturating_add(self.micros(state.level.saturating_sub(edge_level)));
         // The edge is not used if it is implausible: the wake-up was delayed, or another chip drives a shared
         // line.
         let believable = oldest.saturating_sub(period / 4)..=state.at.0;
-        if state.level >= self.watermark && believable.contains(&by_line) {
+        if state.level >= edge_level && believable.contains(&by_line) {
             return DeviceTimeUs(by_line);
         }
         let expected = match self.last {

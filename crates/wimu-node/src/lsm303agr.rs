@@ -6,6 +6,7 @@
 //! this module against the same model of the chip.
 
 use embedded_hal_async::i2c::I2c;
+use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{CentiCelsius, Counts, MagneticFieldNt, PeriodNs};
 
@@ -196,6 +197,11 @@ impl<I2C, D, T> Lsm303agr<I2C, D, T> {
 impl<I2C: I2c, D: DataReady, T: Timer> InertialSensor for Lsm303agr<I2C, D, T> {
     type Sample = Counts;
     type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    const PART: Part = Part::new(sensor::LSM303AGR, "LSM303AGR");
+    const CAPABILITIES: Capabilities = Capabilities::ACCELEROMETER
+        .with(Capabilities::MAGNETOMETER)
+        .with(Capabilities::TEMPERATURE);
+
     fn planner(&self) -> Self::Planner {
         Self::plan
     }

@@ -1,8 +1,9 @@
-//! The LSM6DSO (accelerometer, gyroscope, temperature) behind [`InertialSensor`], through its FIFO.
+//! The LSM6DSO and the LSM6DS3TR-C (accelerometer, gyroscope, temperature) behind [`InertialSensor`], through its FIFO.
 
+use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_link::message::{Resolution, Settings};
 use wimu_lsm6dso::{
-    AccelerationRange, AngularRateRange, Bus, FifoFault, Power, Rate, Sample, Setup,
+    AccelerationRange, AngularRateRange, Bus, FifoFault, Model, Power, Rate, Sample, Setup,
 };
 use wimu_model::{CentiCelsius, Counts, PeriodNs};
 
@@ -53,23 +54,29 @@ const TRANSFER_US: u64 = 350;
 /// Reads in succession without a gyroscope word after which the gyroscope has stopped.
 const WITHOUT_GYROSCOPE: u8 = 2;
 
+/// An LSM6DS3TR-C, as on the Seeed XIAO nRF52840 Sense; otherwise as [`Lsm6dso`]. Its FIFO has no tags, so that a
+/// gyroscope that stops is not noticed.
+pub type Lsm6ds3trC<B, D, T> = Lsm6dso<B, D, T, false>;
+
 /// An LSM6DSO on an I²C or SPI bus, with its INT1 line.
 ///
 /// Pairs of both sensors are read from the FIFO when INT1 signals the watermark: 40 ms of samples, at most 16.
 /// The gyroscope's range is ±2000 °/s.
-pub struct Lsm6dso<B, D, T> {
+pub struct Lsm6dso<B, D, T, const TAGGED: bool = true> {
     device: wimu_lsm6dso::Lsm6dso<B>,
     data_ready: D,
     timer: T,
     fifo: SensorFifo,
 }
 
-impl<B, D, T> Lsm6dso<B, D, T> {
+impl<B, D, T, const TAGGED: bool> Lsm6dso<B, D, T, TAGGED> {
+    const MODEL: Model = if TAGGED { Model::Lsm6dso } else { Model::Lsm6ds3trC };
+
     /// A sensor on `bus` (an [`I2cBus`](wimu_lsm6dso::I2cBus) or [`SpiBus`](wimu_lsm6dso::SpiBus)) whose INT1 is
     /// `data_ready`.
     pub fn new(bus: B, data_ready: D, timer: T) -> Self {
         Self {
-            device: wimu_lsm6dso::Lsm6dso::new(bus),
+            device: wimu_lsm6dso::Lsm6dso::of_model(bus, Self::MODEL),
             data_ready,
             timer,
             fifo: SensorFifo::new(DEPTH, PeriodNs(10_000_000), TRANSFER_US),
@@ -88,10 +95,18 @@ impl<B, D, T> Lsm6dso<B, D, T> {
     }
 }
 
-impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
+impl<B: Bus, D: DataReady, T: Timer, const TAGGED: bool> InertialSensor
+    for Lsm6dso<B, D, T, TAGGED>
+{
     type Sample = (Counts, Counts);
     type Planner = fn(&Settings) -> Result<Plan, Settings>;
     const MAGNETOMETER: bool = false;
+    const PART: Part = match Self::MODEL {
+        Model::Lsm6dso => Part::new(sensor::LSM6DSO, "LSM6DSO"),
+        Model::Lsm6ds3trC => Part::new(sensor::LSM6DS3TR_C, "LSM6DS3TR-C"),
+    };
+    const CAPABILITIES: Capabilities =
+        Capabilities::ACCELEROMETER.with(Capabilities::GYROSCOPE).with(Capabilities::TEMPERATURE);
 
     fn planner(&self) -> Self::Planner {
         Self::plan
@@ -134,7 +149,7 @@ impl<B: Bus, D: DataReady, T: Timer> InertialSensor for Lsm6dso<B, D, T> {
                 for (sample, pair) in samples.iter_mut().zip(&*pairs) {
                     *sample = (Counts(pair.acceleration), Counts(pair.angular_rate));
                 }
-                let unread = read.words_left / 2;
+                let unread = read.samples_left;
                 let state = FifoState::new(edge_time, at, read.count as u16 + unread);
                 return Ok(self.fifo.read(state.with_overrun(lost), read.count, unread));
             }

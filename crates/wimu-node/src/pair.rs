@@ -1,5 +1,6 @@
 //! Two sensors on one board.
 
+use wimu_link::hello::{Capabilities, Part};
 use wimu_link::message::{EpochReason, Resolution, Settings};
 use wimu_model::DeviceTimeUs;
 
@@ -135,6 +136,8 @@ where
     type Sample = A::Sample;
     type Planner = A::Planner;
     const MAGNETOMETER: bool = A::MAGNETOMETER;
+    const PART: Part = A::PART;
+    const CAPABILITIES: Capabilities = A::CAPABILITIES;
 
     fn planner(&self) -> A::Planner {
         self.first.planner()

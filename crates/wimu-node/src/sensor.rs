@@ -3,6 +3,7 @@
 use core::fmt;
 
 use embedded_hal_async::i2c::{self, ErrorKind, NoAcknowledgeSource};
+use wimu_link::hello::{Capabilities, Part};
 use wimu_link::message::{Resolution, Settings};
 use wimu_model::{
     CentiCelsius, Corrector, DeviceTimeUs, GyroscopeCorrector, MagneticFieldNt, PeriodNs,
@@ -196,6 +197,12 @@ pub trait InertialSensor {
 
     /// Whether it can measure the magnetic field. If not, the code for headings is left out.
     const MAGNETOMETER: bool = true;
+
+    /// Its number, 0 without one, and its name.
+    const PART: Part = Part::new(0, "");
+
+    /// What it measures, and how its samples are timed if not by its data-ready line.
+    const CAPABILITIES: Capabilities = Capabilities::ACCELEROMETER;
 
     /// What knows the supported settings. The control task asks it; the sampler has the sensor.
     fn planner(&self) -> Self::Planner;

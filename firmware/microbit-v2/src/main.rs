@@ -8,8 +8,7 @@ mod flash;
 #[cfg(feature = "full")]
 mod rate;
 
-use cortex_m_rt::entry;
-use embassy_executor::{Executor, InterruptExecutor, Spawner};
+use embassy_executor::Spawner;
 use embassy_nrf::buffered_uarte::{self, BufferedUarte, BufferedUarteRx, BufferedUarteTx};
 use embassy_nrf::config::{Config, HfclkSource};
 use embassy_nrf::gpio::{AnyPin, Input, Level, Output, OutputDrive, Pull};
@@ -20,16 +19,14 @@ use embassy_nrf::peripherals::UARTE1;
 use embassy_nrf::peripherals::{TWISPI0, UARTE0};
 use embassy_nrf::rng::Rng;
 use embassy_nrf::twim::{self, Twim};
-use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
+use embassy_nrf::wdt::WatchdogHandle;
 use embassy_nrf::{Peri, bind_interrupts, uarte};
 use embassy_time::Duration;
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
 use static_cell::StaticCell;
-use wimu_cortex_m::{START, stack};
-use wimu_embassy::LIMITS_US;
-use wimu_link::hello::{Capabilities, Part, board, sensor};
+use wimu_link::hello::{Capabilities, Part, board};
 use wimu_node::{
     Axis, Board, FlashLayout, FlashStore, LINKS, Lsm303agr, Mounting, TimeoutBus, Timer,
 };
@@ -50,27 +47,33 @@ bind_interrupts!(struct Interrupts {
 type Sensor = Lsm303agr<TimeoutBus<Bus, BoardTimer>, Line, BoardTimer>;
 type Memory = FlashStore<StoreFlash>;
 
+// The halves of the wireless link.
+#[cfg(feature = "full")]
+type Receiver = BufferedUarteRx<'static>;
+#[cfg(feature = "full")]
+type Sender = BufferedUarteTx<'static>;
+#[cfg(not(feature = "full"))]
+use wimu_node::{NoLink as Receiver, NoLink as Sender};
+
 /// The tasks of the node.
 mod tasks {
-    use super::{BoardTimer, BufferedUarteRx, BufferedUarteTx, Memory, Sensor};
-    #[cfg(feature = "full")]
+    use super::{BoardTimer, BufferedUarteRx, BufferedUarteTx, Memory, Receiver, Sender, Sensor};
     wimu_embassy::tasks! {
         sensor: Sensor,
         timer: BoardTimer,
         store: Memory,
-        links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
-    }
-    #[cfg(not(feature = "full"))]
-    wimu_embassy::tasks! {
-        sensor: Sensor,
-        timer: BoardTimer,
-        store: Memory,
-        links: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
-        wireless: (wimu_node::NoLink, wimu_node::NoLink),
+        cable: (BufferedUarteRx<'static>, BufferedUarteTx<'static>),
+        wireless: (Receiver, Sender),
     }
 }
 
-wimu_cortex_m::fault_handlers!(restart);
+wimu_cortex_m::board! {
+    start: start,
+    restart: cortex_m::peripheral::SCB::sys_reset,
+    sampling: EGU1_SWI1,
+    timer: BoardTimer,
+    watchdog: WatchdogHandle, |watchdog| watchdog.pet(), wimu_embassy::LIMITS_US,
+}
 
 /// The last 16 KiB of the flash, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
@@ -79,8 +82,6 @@ const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
 const MOUNTING: Mounting = Mounting::new([Axis::MinusY, Axis::X, Axis::MinusZ]);
 /// The longest erase of a page, ms: 22 steps of 5 ms, and 3 ms after each.
 const PAUSE_MS: u16 = 200;
-/// Timeout of the watchdog: 2 s of 32,768 Hz.
-const WATCHDOG_TICKS: u32 = 65_536;
 /// Time for which a row of the display is lit, µs.
 const ROW_US: u64 = 3_000;
 /// Rows of the display in a second.
@@ -90,15 +91,6 @@ const DEBOUNCE: u32 = 10;
 
 /// Rows of the display for which button B must be held to erase the key: 5 s.
 const KEY_LOST_ROWS: u32 = 5 * ROWS_A_SECOND;
-
-/// Feeds the watchdog while the node works.
-#[embassy_executor::task]
-async fn supervise(shared: &'static Shared, mut watchdog: WatchdogHandle) -> ! {
-    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
-        watchdog.pet();
-    })
-    .await
-}
 
 /// Shows the device's state and polls the buttons.
 #[embassy_executor::task]
@@ -139,21 +131,6 @@ async fn attend(
         BoardTimer.after_us(ROW_US).await;
     }
     core::future::pending().await
-}
-
-/// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
-static SAMPLING: InterruptExecutor = InterruptExecutor::new();
-
-#[cortex_m_rt::interrupt]
-unsafe fn EGU1_SWI1() {
-    // SAFETY: this is the executor's own interrupt.
-    unsafe { SAMPLING.on_interrupt() };
-}
-
-#[entry]
-fn main() -> ! {
-    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init(Executor::new()).run(start)
 }
 
 /// A separate function, so that its stack frame is gone before the tasks run.
@@ -229,17 +206,12 @@ fn start(spawner: Spawner) {
     let mut entropy = [0; 16];
     Rng::new_blocking(chip.RNG).blocking_fill_bytes(&mut entropy);
     let board = Board {
-        hello: wimu_embassy::hello(
+        hello: wimu_embassy::hello::<Sensor>(
             wimu_nrf::device_id(),
             env!("CARGO_PKG_VERSION"),
             &begun,
-            Capabilities::ACCELEROMETER
-                .with(Capabilities::MAGNETOMETER)
-                .with(Capabilities::TEMPERATURE)
-                .with(Capabilities::DATA_READY)
-                .with(Capabilities::STORE),
+            Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
-            Part::new(sensor::LSM303AGR, "LSM303AGR"),
         ),
         sensor: Sensor::new(TimeoutBus::new(Bus(i2c), BoardTimer), line, BoardTimer)
             .mounted(MOUNTING),
@@ -277,20 +249,10 @@ fn start(spawner: Spawner) {
     // The board has its own pull-ups.
     let button_a = Input::new(chip.P0_14, Pull::None);
     let button_b = Input::new(chip.P0_23, Pull::None);
-    let mut feeding = wdt::Config::default();
-    feeding.timeout_ticks = WATCHDOG_TICKS;
-    feeding.action_during_debug_halt = wdt::HaltConfig::Pause;
-    // It is not running yet: a reset stops it.
-    let Ok((_, [watchdog])) = Watchdog::try_new(chip.WDT, feeding) else { panic!() };
-
+    let watchdog = wimu_nrf::watchdog(chip.WDT);
     let sampling = SAMPLING.start(interrupt::EGU1_SWI1);
     tasks::spawn(node, sampling, spawner);
     // Spawned once.
     spawner.spawn(supervise(shared, watchdog).unwrap());
     spawner.spawn(attend(shared, begun.is_safe_mode(), matrix, button_a, button_b).unwrap());
-}
-
-/// Resets the chip.
-fn restart() -> ! {
-    cortex_m::peripheral::SCB::sys_reset()
 }

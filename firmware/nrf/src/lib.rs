@@ -7,7 +7,10 @@ mod bus;
 mod clock;
 mod data_ready;
 
+use embassy_nrf::Peri;
 use embassy_nrf::pac;
+use embassy_nrf::peripherals::WDT;
+use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use wimu_link::hello::ResetReason;
 
 pub use bus::Bus;
@@ -28,6 +31,19 @@ pub fn reset_reason() -> ResetReason {
         _ if found.resetpin() => ResetReason::Pin,
         _ => ResetReason::Unknown,
     }
+}
+
+/// Timeout of the watchdog: 2 s of 32,768 Hz.
+const WATCHDOG_TICKS: u32 = 65_536;
+
+/// Starts the watchdog, which pauses while a debugger holds the processor. Call it once.
+pub fn watchdog(chip: Peri<'static, WDT>) -> WatchdogHandle {
+    let mut config = wdt::Config::default();
+    config.timeout_ticks = WATCHDOG_TICKS;
+    config.action_during_debug_halt = wdt::HaltConfig::Pause;
+    // It is not running yet: a reset stops it.
+    let Ok((_, [watchdog])) = Watchdog::try_new(chip, config) else { panic!() };
+    watchdog
 }
 
 /// The chip's serial number.

@@ -16,7 +16,6 @@ mod store;
 mod uart;
 mod watchdog;
 
-use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_node::Lsm6dso;
 use wimu_node::wimu_lsm6dso::{Address, I2cBus};
 
@@ -25,8 +24,6 @@ use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 
 type Sensor = Lsm6dso<I2cBus<BridgeI2c>, DataReady, BoardTimer>;
-const PART: Part = Part::new(sensor::LSM6DSO, "LSM6DSO");
-const QUANTITIES: Capabilities = Capabilities::GYROSCOPE.with(Capabilities::TEMPERATURE);
 
 fn sensor(i2c: BridgeI2c, line: DataReady) -> Sensor {
     let address = Address::Low;

@@ -22,7 +22,6 @@ mod store;
 mod uart;
 mod watchdog;
 
-use wimu_link::hello::{Capabilities, Part, sensor};
 use wimu_node::Lsm303agr;
 
 use crate::bridge::BridgeI2c;
@@ -30,8 +29,6 @@ use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 
 type Sensor = Lsm303agr<BridgeI2c, DataReady, BoardTimer>;
-const PART: Part = Part::new(sensor::LSM303AGR, "LSM303AGR");
-const QUANTITIES: Capabilities = Capabilities::MAGNETOMETER.with(Capabilities::TEMPERATURE);
 
 fn sensor(i2c: BridgeI2c, line: DataReady) -> Sensor {
     Sensor::new(i2c, line, BoardTimer)

@@ -1,5 +1,4 @@
-//! The node's tasks and `main`, for the sensor that the image's root names: `Sensor`, made by `sensor`, `PART`
-//! and `QUANTITIES`.
+//! The node's tasks and `main`, for the sensor that the image's root names: `Sensor`, made by `sensor`.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -21,7 +20,7 @@ use crate::lockstep::Lockstep;
 use crate::store::{self, Flash};
 use crate::uart::{CABLE, LOG, Reader, SENSOR_BUS, WIRELESS, Writer};
 use crate::watchdog::FAILURES;
-use crate::{PART, QUANTITIES, Sensor, clock, interrupts, log, semihosting, sensor, watchdog};
+use crate::{Sensor, clock, interrupts, log, semihosting, sensor, watchdog};
 
 /// The tasks of the node.
 mod tasks {
@@ -30,7 +29,8 @@ mod tasks {
         sensor: Sensor,
         timer: BoardTimer,
         store: FlashStore<Flash>,
-        links: (Reader, Writer),
+        cable: (Reader, Writer),
+        wireless: (Reader, Writer),
     }
 }
 
@@ -144,12 +144,11 @@ fn unknown(option: &str) -> ! {
 }
 
 fn hello(start: &Start) -> Hello {
-    wimu_embassy::hello(
+    wimu_embassy::hello::<Sensor>(
         0x5145_0386,
         env!("CARGO_PKG_VERSION"),
         start,
-        QUANTITIES.with(Capabilities::ACCELEROMETER).with(Capabilities::STORE),
+        Capabilities::STORE,
         Part::new(board::QEMU_MPS2, "QEMU mps2-an386"),
-        PART,
     )
 }

@@ -10,7 +10,7 @@ pub mod stack;
 use wimu_embassy::wimu_link::hello::{Fault, ResetReason};
 use wimu_embassy::{Start, StartRecord};
 
-pub use {cortex_m, cortex_m_rt, wimu_embassy};
+pub use {cortex_m, cortex_m_rt, embassy_executor, static_cell, wimu_embassy};
 
 /// The start record, in memory that is not cleared at a start.
 // `used`: the compiler must not assume the initial value.
@@ -66,5 +66,68 @@ macro_rules! fault_handlers {
             $crate::START.record(&$crate::fault_of(frame));
             $restart()
         }
+    };
+}
+
+/// Defines what every board has beside pins and clocks:
+/// - `main`, which runs `$start(Spawner)` in the executor of the thread,
+/// - `SAMPLING`, an executor in the spare interrupt `$interrupt`, for the sampler,
+/// - the task `supervise(&Shared, $watchdog)`, which calls `$feed` while the tasks make progress within `$limits`,
+/// - the task `show(&Shared, is_safe_mode, $led, $button)`, which shows the state; the LED is lit at the level `$lit`,
+/// - the handlers of panics and faults: [`fault_handlers!`].
+///
+/// The board has a module `tasks` of `wimu_embassy::tasks!` and imports its HAL's `interrupt`.
+#[macro_export]
+macro_rules! board {
+    (
+        start: $start:path,
+        restart: $restart:path,
+        sampling: $interrupt:ident,
+        timer: $timer:expr,
+        watchdog: $watchdog:ty, $feed:expr, $limits:expr,
+        $(light: ($led:ty, $button:ty), lit: $lit:expr,)?
+    ) => {
+        $crate::fault_handlers!($restart);
+
+        /// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
+        static SAMPLING: $crate::embassy_executor::InterruptExecutor =
+            $crate::embassy_executor::InterruptExecutor::new();
+
+        #[cortex_m_rt::interrupt]
+        unsafe fn $interrupt() {
+            // SAFETY: this is the executor's own interrupt.
+            unsafe { SAMPLING.on_interrupt() };
+        }
+
+        #[cortex_m_rt::entry]
+        fn main() -> ! {
+            static EXECUTOR: $crate::static_cell::StaticCell<$crate::embassy_executor::Executor> =
+                $crate::static_cell::StaticCell::new();
+            EXECUTOR.init($crate::embassy_executor::Executor::new()).run($start)
+        }
+
+        /// Feeds the watchdog while the node works.
+        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+        async fn supervise(shared: &'static tasks::Shared, mut watchdog: $watchdog) -> ! {
+            let feed: fn(&mut $watchdog) = $feed;
+            let (record, stack) = (&$crate::START, $crate::stack::status);
+            let feed = || feed(&mut watchdog);
+            $crate::wimu_embassy::supervise($limits, shared, record, $timer, stack, feed).await
+        }
+
+        $(
+            /// Shows the device's state with the LED and polls the button, which is pressed while low.
+            #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+            async fn show(
+                shared: &'static tasks::Shared,
+                is_safe_mode: bool,
+                mut led: $led,
+                button: $button,
+            ) -> ! {
+                let light = |on: bool| led.set_level((on == $lit).into());
+                let is_pressed = || button.is_low();
+                $crate::wimu_embassy::attend(shared, is_safe_mode, $timer, light, is_pressed).await
+            }
+        )?
     };
 }

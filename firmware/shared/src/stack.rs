@@ -2,16 +2,20 @@
 
 use core::ptr::addr_of;
 
+#[cfg(not(feature = "armv8m"))]
 use cortex_m::peripheral::MPU;
 use cortex_m_rt::STACK_PAINT_VALUE;
 use wimu_link::message::StackStatus;
 
 /// Size of the guard: the smallest region of the memory protection unit of Armv6-M, bytes.
 const GUARD: u32 = 256;
+#[cfg(not(feature = "armv8m"))]
 /// Size field of a region of [`GUARD`] bytes (Armv7-M, B3.5.9): 2⁷⁺¹ bytes.
 const GUARD_SIZE: u32 = 7;
+#[cfg(not(feature = "armv8m"))]
 /// Region attributes: enabled; not executable; read-only.
 const ATTRIBUTES: u32 = 1 | GUARD_SIZE << 1 | 0b101 << 24 | 1 << 28;
+#[cfg(not(feature = "armv8m"))]
 /// Control: enabled; elsewhere the default memory map holds. In handlers of faults there is no protection.
 const CONTROL: u32 = 1 | 1 << 2;
 
@@ -26,8 +30,15 @@ fn floor() -> u32 {
     (addr_of!(_stack_end) as u32).next_multiple_of(GUARD) + GUARD
 }
 
-/// Makes the bottom of the stack read-only, so that an overflow is a fault and no other data change.
+/// Makes an overflow of the stack a fault, so that no other data change: its bottom is read-only, or on Armv8-M its
+/// pointer is limited.
 pub fn guard() {
+    #[cfg(feature = "armv8m")]
+    // SAFETY: it is below the stack pointer.
+    unsafe {
+        cortex_m::register::msplim::write(floor());
+    }
+    #[cfg(not(feature = "armv8m"))]
     // SAFETY: the unit has no other user, and nothing but a stack that overflows writes to the guard.
     unsafe {
         let unit = &*MPU::PTR;

@@ -4,11 +4,10 @@
 #![no_std]
 #![no_main]
 
-use cortex_m_rt::entry;
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
-use embassy_executor::{Executor, InterruptExecutor, Spawner};
+use embassy_executor::Spawner;
 use embassy_stm32::exti::{self, ExtiInput};
 use embassy_stm32::flash::{Bank1Region1, Blocking, Flash};
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
@@ -20,14 +19,12 @@ use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart, BufferedUartRx, BufferedUartTx};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, bind_interrupts, dma, pac, rcc};
-use embassy_time::{Duration, Instant};
+use embassy_time::Duration;
 use static_cell::StaticCell;
-use wimu_cortex_m::{START, stack};
-use wimu_embassy::{BlockingFlash, LIMITS_US};
-use wimu_link::hello::{Capabilities, Part, ResetReason, board, sensor};
-use wimu_model::DeviceTimeUs;
+use wimu_embassy::{BlockingFlash, BoardTimer};
+use wimu_link::hello::{Capabilities, Part, ResetReason, board};
 use wimu_node::wimu_lsm6dso::{Address, I2cBus};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm6dso, TimeoutBus, Timer};
+use wimu_node::{Board, FlashLayout, FlashStore, Lsm6dso, TimeoutBus};
 
 use crate::tasks::Shared;
 
@@ -54,11 +51,19 @@ mod tasks {
         sensor: Sensor,
         timer: BoardTimer,
         store: Memory,
-        links: (BufferedUartRx<'static>, BufferedUartTx<'static>),
+        cable: (BufferedUartRx<'static>, BufferedUartTx<'static>),
+        wireless: (BufferedUartRx<'static>, BufferedUartTx<'static>),
     }
 }
 
-wimu_cortex_m::fault_handlers!(restart);
+wimu_cortex_m::board! {
+    start: start,
+    restart: cortex_m::peripheral::SCB::sys_reset,
+    sampling: SPI5,
+    timer: BoardTimer,
+    watchdog: IndependentWatchdog<'static, IWDG>, |watchdog| watchdog.pet(), wimu_embassy::LIMITS_US,
+    light: (Output<'static>, Input<'static>), lit: false,
+}
 
 /// Sectors 1 to 3, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x4000..0xC000);
@@ -68,57 +73,6 @@ const PAUSE_MS: u16 = 800;
 const WATCHDOG_US: u32 = 2_000_000;
 /// Crystal of the board, Hz.
 const CRYSTAL: Hertz = Hertz(25_000_000);
-
-/// Time since the start, from a timer of 1 MHz.
-#[derive(Clone, Copy)]
-pub struct BoardTimer;
-
-impl Timer for BoardTimer {
-    fn now(&self) -> DeviceTimeUs {
-        DeviceTimeUs(Instant::now().as_micros())
-    }
-
-    fn until(&self, moment: DeviceTimeUs) -> impl Future<Output = ()> {
-        embassy_time::Timer::at(Instant::from_micros(moment.0))
-    }
-}
-
-/// Feeds the watchdog while the node works.
-#[embassy_executor::task]
-async fn supervise(shared: &'static Shared, mut watchdog: IndependentWatchdog<'static, IWDG>) -> ! {
-    wimu_embassy::supervise(LIMITS_US, shared, &START, BoardTimer, stack::status, || {
-        watchdog.pet();
-    })
-    .await
-}
-
-/// Shows the device's state with the LED and polls the button KEY.
-#[embassy_executor::task]
-async fn show(
-    shared: &'static Shared,
-    is_safe_mode: bool,
-    mut led: Output<'static>,
-    key: Input<'static>,
-) -> ! {
-    // Lit while low.
-    let light = |on: bool| led.set_level((!on).into());
-    wimu_embassy::attend(shared, is_safe_mode, BoardTimer, light, || key.is_low()).await
-}
-
-/// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
-static SAMPLING: InterruptExecutor = InterruptExecutor::new();
-
-#[cortex_m_rt::interrupt]
-unsafe fn SPI5() {
-    // SAFETY: this is the executor's own interrupt.
-    unsafe { SAMPLING.on_interrupt() };
-}
-
-#[entry]
-fn main() -> ! {
-    static EXECUTOR: StaticCell<Executor> = StaticCell::new();
-    EXECUTOR.init(Executor::new()).run(start)
-}
 
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
@@ -150,17 +104,13 @@ fn start(spawner: Spawner) {
     let flash = Flash::new_blocking(chip.FLASH).into_blocking_regions();
     let [a, b, c, d, e, f, g, h, ..] = embassy_stm32::uid::uid();
     let board = Board {
-        hello: wimu_embassy::hello(
+        hello: wimu_embassy::hello::<Sensor>(
             u64::from_le_bytes([a, b, c, d, e, f, g, h]),
             env!("CARGO_PKG_VERSION"),
             &begun,
             // Not DATA_READY: the time of a sample is that at which the task wakes.
-            Capabilities::ACCELEROMETER
-                .with(Capabilities::GYROSCOPE)
-                .with(Capabilities::TEMPERATURE)
-                .with(Capabilities::STORE),
+            Capabilities::STORE,
             Part::new(board::STM32F411, "STM32F411"),
-            Part::new(sensor::LSM6DSO, "LSM6DSO"),
         ),
         sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
         timer: BoardTimer,
@@ -208,11 +158,6 @@ fn clocks() -> Config {
     // At most 50 MHz.
     config.rcc.apb1_pre = rcc::APBPrescaler::DIV2;
     config
-}
-
-/// Resets the chip.
-fn restart() -> ! {
-    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// The reset reason.

@@ -8,14 +8,16 @@ mod geometry;
 mod health;
 mod motion;
 mod outputs;
-mod recording;
 mod rests;
+mod samples;
 mod stored;
+mod units;
 
 pub use calibration::{ArrayCalibration, SensorFit};
 pub use fit::{Agreement, RefineOptions, Refinement, refine};
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::ArrayBody;
-pub use recording::{ArrayRecording, Board, BoardOptions};
 pub use rests::EvenTurn;
+pub use samples::{Array, Reference};
 pub use stored::{CalibratedArray, calibrate_array};
+pub use units::{ArrayUnit, UnitOptions};

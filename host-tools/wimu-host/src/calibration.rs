@@ -1,6 +1,5 @@
 //! Calibration: from recorded data to an error model, its report, and the file for a board.
 
-mod change;
 mod checks;
 mod correction;
 mod covariance;
@@ -11,6 +10,7 @@ mod file;
 mod gyroscope;
 mod identity;
 mod magnetometer;
+mod nested;
 mod paired;
 mod poses;
 mod reference;
@@ -19,7 +19,6 @@ mod saturation;
 mod several;
 pub mod source;
 mod update;
-mod weights;
 
 pub use correction::Correction;
 pub use datasheet::{DatasheetReport, LimitReport, datasheet};
@@ -40,9 +39,7 @@ pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_refer
 pub use report::{
     CalibrationReport, Criterion, DriftReport, Fit, Grade, NextPose, Source, StaticPose,
 };
-pub use several::{
-    DepartureReport, Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several,
-};
+pub use several::{Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several};
 pub use source::compiled_for;
 pub use update::{RestReport, UpdateReport, update};
 

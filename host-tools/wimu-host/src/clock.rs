@@ -8,6 +8,7 @@
 //! standard deviation because of the delays, and bounds for any asymmetry of the directions.
 
 use std::collections::{HashMap, VecDeque};
+use std::fmt;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -18,6 +19,7 @@ use wimu_model::DeviceTimeUs;
 
 use crate::client::requests_in;
 use crate::decode::{Arrival, Event};
+use crate::digits::{significant, with_sd};
 use crate::series::thin_out;
 
 mod envelope;
@@ -405,6 +407,24 @@ pub struct ClockSummary {
     pub transfers: u64,
     /// Answered time requests.
     pub exchanges: u64,
+}
+
+impl fmt::Display for ClockSummary {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let side = if self.rate_ppm > 0.0 { "slow" } else { "fast" };
+        let rate = with_sd(self.rate_ppm.abs(), self.rate_sd_ppm);
+        write!(out, "device clock {side} by {rate} ppm (1 σ); offset to host time ")?;
+        let Some(bound) = self.offset_bound_ms else {
+            return out.write_str("uncertain by the (unknown) minimum latency");
+        };
+        let sd = self.offset_sd_ms;
+        write!(
+            out,
+            "± {} ms (1 σ) if both directions are equally fast, otherwise within {} ms",
+            significant(sd, 2),
+            significant(bound.max(2.0 * sd), 2)
+        )
+    }
 }
 
 impl ClockModel {

@@ -20,6 +20,7 @@ pub(crate) mod align;
 mod arrival;
 mod counted;
 mod delivery;
+mod document;
 mod link;
 mod model;
 mod overview;

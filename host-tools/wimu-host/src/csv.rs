@@ -4,7 +4,6 @@
 //! Several accelerometers are `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …. A column
 //! `Sensitivity (LSB/g)` is the unit of counts; where it is empty, the unit is unknown.
 
-pub(crate) mod columns;
 pub(crate) mod number;
 
 use std::io::Write;

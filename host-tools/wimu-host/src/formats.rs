@@ -10,7 +10,7 @@ mod px4;
 mod ros;
 pub(crate) mod source;
 mod summary;
-mod table;
+pub(crate) mod table;
 mod unsupported;
 mod wimu;
 mod window;

@@ -3,10 +3,11 @@
 
 use crate::common;
 
-use common::{Random, cross};
+use common::{Random, cross, push, push_truth};
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
+use wimu_host::series::Ns;
 use wimu_host::{Code, Problem};
 use wimu_testkit::figure;
 
@@ -45,7 +46,7 @@ fn about_z(seconds: f64, rate: f64) -> Part {
 
 /// What an array puts out, with the truth as columns.
 struct Simulated {
-    recording: ArrayRecording,
+    recording: Array,
     rates: Vec<[f64; 3]>,
 }
 
@@ -61,18 +62,7 @@ fn smooth(x: f64) -> [f64; 3] {
 fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> Simulated {
     let biases: Vec<[f64; 3]> =
         geometry.sensors.iter().map(|_| [0; 3].map(|_| 0.02 * random.normal())).collect();
-    let names = ["Position E (m)", "Position N (m)", "Position U (m)"].into_iter().chain([
-        "Quaternion W",
-        "Quaternion X",
-        "Quaternion Y",
-        "Quaternion Z",
-        "Angular Rate X (rad/s)",
-        "Angular Rate Y (rad/s)",
-        "Angular Rate Z (rad/s)",
-    ]);
-    let mut other: Vec<(String, Vec<f64>)> =
-        names.map(|n| (format!("Truth {n}"), Vec::new())).collect();
-    let mut recording = ArrayRecording::default();
+    let mut recording = Array::default();
     let mut rates = Vec::new();
     let (mut before, mut at, mut q) = ([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0, 0.0]);
     let dt = 1.0 / RATE_HZ;
@@ -111,15 +101,12 @@ fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> S
                     along + bias[axis] + NOISE * random.normal()
                 })
             });
-            recording.outputs.push(row.collect());
-            recording.saturated.push(0);
-            recording.times_s.push(recording.times_s.len() as f64 * dt);
+            let time_s = recording.len() as f64 * dt;
+            let row: Vec<[f64; 3]> = row.collect();
+            push(&mut recording, time_s, row);
             rates.push(rate);
             let position: [f64; 3] = std::array::from_fn(|i| at[i] + value * one.shift[i]);
-            let truth = position.into_iter().chain(q).chain(rate);
-            for ((_, column), value) in other.iter_mut().zip(truth) {
-                column.push(value);
-            }
+            push_truth(&mut recording, time_s, (position, q, rate));
             // Attitude by the rate half a step on.
             let [next, ..] = smooth((k as f64 + 0.5) / count as f64);
             let by = rate_at(next).map(|w| w * dt);
@@ -138,13 +125,12 @@ fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> S
             *at += shift;
         }
     }
-    recording.other = other;
     Simulated { recording, rates }
 }
 
 /// Judged, arranged, calibrated and navigated, as the command does.
 fn path(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     zupt: bool,
 ) -> Result<(InertialPath, ArrayCalibration), Problem> {
@@ -166,7 +152,7 @@ fn rate_rms(path: &InertialPath, rates: &[[f64; 3]]) -> f64 {
     (squares.sum::<f64>() / rates.len() as f64).sqrt()
 }
 
-fn end_error(path: &InertialPath, recording: &ArrayRecording) -> f64 {
+fn end_error(path: &InertialPath, recording: &Array) -> f64 {
     let last = path.points[path.points.len() - 1].position_m;
     let truth = recording.truth();
     let truth = truth[truth.len() - 1].unwrap().position_m;
@@ -266,8 +252,8 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
     ];
     for (name, fail) in fails {
         let mut recording = all.recording.clone();
-        for row in &mut recording.outputs[400..] {
-            fail(&mut row[2]);
+        for output in &mut recording.units[2].force.v[400..] {
+            fail(&mut output.data.0[0]);
         }
         let (path, calibration) = path(&recording, &geometry, true).unwrap();
         let error = end_error(&path, &recording);
@@ -289,6 +275,11 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
     }
 }
 
+/// The outputs of all sensors.
+fn values(array: &mut Array) -> impl Iterator<Item = &mut nalgebra::Vector3<f64>> {
+    array.units.iter_mut().flat_map(|unit| &mut unit.force.v)
+}
+
 #[test]
 fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     let geometry = octahedron(0.03);
@@ -296,16 +287,21 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     let clipped = |limit: f64| {
         let mut recording = all.recording.clone();
         let mut beyond = 0;
-        for row in &mut recording.outputs {
-            beyond += usize::from(row.iter().flatten().any(|v| v.abs() > limit));
-            for value in row.iter_mut().flatten() {
-                *value = value.clamp(-limit, limit);
+        for index in 0..recording.len() {
+            let mut is_beyond = false;
+            for unit in &mut recording.units {
+                let output = &mut unit.force.v[index];
+                is_beyond |= output.amax() > limit;
+                *output = output.map(|axis| axis.clamp(-limit, limit));
             }
+            beyond += usize::from(is_beyond);
         }
         (recording.judged(), beyond)
     };
     let (recording, beyond) = clipped(11.5);
-    let marked = recording.saturated.iter().filter(|s| **s != 0).count();
+    let is_marked =
+        |array: &Array, k: usize| (0..array.sensors()).any(|sensor| array.is_saturated(k, sensor));
+    let marked = (0..recording.len()).filter(|k| is_marked(&recording, *k)).count();
     println!("{beyond} samples beyond the limit, {marked} marked");
     assert!(beyond > 50 && marked * 10 >= beyond * 9 && marked <= beyond);
     let (found, _) = path(&recording, &geometry, true).unwrap();
@@ -324,21 +320,21 @@ fn a_limit_that_nobody_declared_is_found_in_the_recording() {
     assert!(wrong < 6.0, "a valid position is {wrong} deviations off");
     // In g under the name of m/s²: said, not navigated.
     let mut in_g = all.recording.clone();
-    for value in in_g.outputs.iter_mut().flatten().flatten() {
-        *value /= G;
+    for output in values(&mut in_g) {
+        *output /= G;
     }
     let error = path(&in_g, &geometry, true).map(|_| ()).unwrap_err();
     assert!(error.to_string().contains("which is not gravity"), "{error}");
     // Nothing clips: nothing is marked, in coarse steps neither.
     let (recording, _) = clipped(1e3);
-    assert!(recording.saturated.iter().all(|s| *s == 0));
+    assert!(!(0..recording.len()).any(|k| is_marked(&recording, k)));
     let mut coarse = all.recording.clone();
-    for value in coarse.outputs.iter_mut().flatten().flatten() {
-        *value = (*value / 0.15).round() * 0.15;
+    for output in values(&mut coarse) {
+        *output = output.map(|axis| (axis / 0.15).round() * 0.15);
     }
-    let coarse = coarse.judged();
-    assert!(coarse.saturated.iter().all(|s| *s == 0), "{:?}", coarse.remarks);
-    assert!(coarse.outputs.iter().flatten().flatten().all(|v| v.is_finite()));
+    let mut coarse = coarse.judged();
+    assert!(!(0..coarse.len()).any(|k| is_marked(&coarse, k)), "{:?}", coarse.remarks);
+    assert!(values(&mut coarse).all(|output| output.iter().all(|axis| axis.is_finite())));
 }
 
 #[test]
@@ -347,11 +343,8 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
     let mut all = simulated(&geometry, &carried(), &mut Random::new(10));
     // From the middle of the first move on.
     let from = (3.3 * RATE_HZ) as usize;
-    all.recording.outputs.drain(..from);
-    all.recording.saturated.drain(..from);
-    all.recording.times_s.drain(..from);
-    for (_, column) in &mut all.recording.other {
-        column.drain(..from);
+    for unit in &mut all.recording.units {
+        unit.force.forget_before(Ns::from_s(from as f64 / RATE_HZ), 0);
     }
     let (path, _) = path(&all.recording, &geometry, true).unwrap();
     let (median, share) = path.consistency().unwrap();
@@ -380,6 +373,6 @@ fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation
     let [before, after] = [&filtered, &smoothed].map(|path| rate_rms(path, &all.rates));
     println!("{before:.4} and {after:.4} rad/s rms");
     assert!(after < 0.9 * before, "{after} {before}");
-    let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees).unwrap();
+    let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees.all).unwrap();
     assert!(share > 0.9, "{share}");
 }

@@ -4,7 +4,7 @@ use crate::array_journeys;
 
 use array_journeys::{Case, Kind, Places};
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, consistency, navigate_array};
 use wimu_testkit::Lane;
 
@@ -18,7 +18,7 @@ fn case() -> Case {
     Case { rate_hz: 100.0, ..Case::default() }
 }
 
-fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPath {
+fn navigated(recording: Array, geometry: &ArrayGeometry) -> InertialPath {
     let arranged = recording.judged().arranged(geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let choice = Choice { zupt: Zupt::Stated, ..Choice::default() };
@@ -29,7 +29,7 @@ fn navigated(recording: ArrayRecording, geometry: &ArrayGeometry) -> InertialPat
 fn honest(path: &InertialPath) -> (f64, f64, String) {
     let share = |nees: &[f64]| consistency(nees).map_or(0.0, |(_, share)| share);
     let said = path.findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    (share(&path.nees), share(&path.rate_nees), said)
+    (share(&path.nees.all), share(&path.rate_nees.all), said)
 }
 
 #[test]

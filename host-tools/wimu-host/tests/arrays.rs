@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use common::{Random, cross};
 use wimu_calib::Gravity;
 use wimu_host::array::{
-    ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor, Board, RefineOptions,
+    Array, ArrayBody, ArrayCalibration, ArrayGeometry, ArraySensor, ArrayUnit, RefineOptions,
     refine,
 };
 use wimu_host::inertial::Zupt;
@@ -106,7 +106,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         sensor.axes = axes;
     }
     let clock_error_us = [0.0, 300.0, -200.0, 150.0];
-    let boards: Vec<Board> = geometry
+    let boards: Vec<ArrayUnit> = geometry
         .sensors
         .iter()
         .enumerate()
@@ -120,7 +120,7 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
             let silent = ((POSES as f64 * POSE_S + 4.0 - start) * rate_hz) as usize;
             let lost = |n: usize| k == 1 && (silent..silent + 40).contains(&n);
             let kept: Vec<usize> = (0..times_s.len()).filter(|n| !lost(*n)).collect();
-            Board {
+            ArrayUnit {
                 name: format!("board {k}"),
                 force: Series::of(kept.into_iter().map(|n| {
                     let value = output(sensor, start + times_s[n]);
@@ -136,10 +136,11 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
             }
         })
         .collect();
-    let together = ArrayRecording::from_boards(&boards).unwrap();
+    let together = Array::of(boards.clone()).unwrap();
     assert!(together.remarks.iter().any(|r| r.contains("clock known to 300 µs")));
     assert!(together.remarks.iter().any(|r| r.contains("values missing")));
-    let origin = together.times_s[0] - 0.037 * 3.0 - clock_error_us[3] * 1e-6;
+    let origin =
+        together.times()[0].since_s(Ns(1_000_000_000)) - 0.037 * 3.0 - clock_error_us[3] * 1e-6;
     assert!(origin.abs() < 0.02, "the grid begins when all are there: {origin}");
     let arranged = together.clone().arranged(&geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
@@ -160,8 +161,10 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
         let (states, remarks) = ArrayBody::of(&arranged, geometry, &calibration)
             .and_then(|body| body.navigated(G, Zupt::Stated))
             .unwrap();
+        let times = arranged.times().iter();
+        let times_s: Vec<f64> = times.map(|t| t.since_s(Ns(1_000_000_000))).collect();
         let rates: Vec<[f64; 3]> = states.iter().map(|s| s.rate_rad_s).collect();
-        (rms_error(&rates, &arranged.times_s), remarks)
+        (rms_error(&rates, &times_s), remarks)
     };
     println!("{:?}", together.remarks);
     let ((before, remarks), (after, _)) = (rates(&geometry), rates(&found.geometry));
@@ -180,8 +183,8 @@ fn boards_with_clocks_and_axes_of_their_own_make_one_array() {
 
     let mut late = boards[1].clone();
     late.force = late.force.retimed(|time| time.after_s(3600.0));
-    let error = ArrayRecording::from_boards(&[boards[0].clone(), late]).unwrap_err();
+    let error = Array::of(vec![boards[0].clone(), late]).unwrap_err();
     assert!(error.to_string().contains("no time in common"), "{error}");
-    let error = ArrayRecording::from_boards(&boards[..1]).unwrap_err();
-    assert!(error.to_string().contains("2 to 32 boards, not 1"), "{error}");
+    let error = Array::of(boards[..1].to_vec()).unwrap_err();
+    assert!(error.to_string().contains("2 to 32 accelerometers, and there are 1"), "{error}");
 }

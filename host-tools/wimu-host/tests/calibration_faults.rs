@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use wimu_calib::Orientation;
-use wimu_host::calibration::{CalibrateOptions, CalibrationReport, ModelChoice, calibrate};
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, calibrate};
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_host::{Code, Problem, Severity};
 use wimu_model::{ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
@@ -20,32 +20,30 @@ enum Fault {
     SignFlip,
     Sensitivity,
     SensitivityFar,
-    BeyondBounds,
+    Nonlinear,
     Normalised,
-    ShortPoses,
 }
 
 impl Fault {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 8] = [
         Self::ColdStart,
         Self::BiasStep,
         Self::GainChange,
         Self::SignFlip,
         Self::Sensitivity,
         Self::SensitivityFar,
-        Self::BeyondBounds,
+        Self::Nonlinear,
         Self::Normalised,
-        Self::ShortPoses,
     ];
 
     /// The code that should rank first; `None` where there should be no warning.
     fn code(self) -> Option<Code> {
         match self {
-            Self::None | Self::ShortPoses => None,
+            Self::None => None,
             Self::ColdStart => Some(Code::Drift),
             Self::BiasStep | Self::GainChange | Self::SignFlip => Some(Code::Step),
             Self::Sensitivity | Self::SensitivityFar => Some(Code::Sensitivity),
-            Self::BeyondBounds => Some(Code::SmallerModel),
+            Self::Nonlinear => Some(Code::Residuals),
             Self::Normalised => Some(Code::AlreadyCorrected),
         }
     }
@@ -74,9 +72,9 @@ fn sensor(random: &mut Random, fault: Fault) -> ErrorTerms {
     terms
 }
 
-/// Pose means: time, s; samples; temperature, °C; counts at 2048 LSB/g.
+/// Pose means: time, s; counts at 2048 LSB/g.
 struct Session {
-    rows: Vec<(f64, f64, f64, [f64; 3])>,
+    rows: Vec<(f64, [f64; 3])>,
     options: CalibrateOptions,
 }
 
@@ -123,15 +121,12 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
         Fault::SensitivityFar => 0.5,
         _ => 1.0,
     };
-    let mut options = CalibrateOptions {
+    let options = CalibrateOptions {
         gravity_mps2: Some(G),
         sensitivity_lsb_per_g: Some(2048.0 * factor),
         range_g: Some(16),
         ..CalibrateOptions::default()
     };
-    if fault == Fault::BeyondBounds {
-        options.model = ModelChoice::Auto;
-    }
     let ups = directions(&mut random, count);
     let mut rows = Vec::new();
     let mut time = 0.0;
@@ -151,12 +146,9 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
                 *bias += change * (-progress / time_constant).exp();
             }
         }
-        let mut celsius = 25.0;
-        if fault == Fault::BeyondBounds {
-            // A thermometer that shows a fifth of the change of the sensor's temperature.
-            let warmer = 0.6 * (8.0 * progress).sin();
-            celsius += warmer;
-            terms.bias_mps2[axis] += 0.25 * warmer * side;
+        if fault == Fault::Nonlinear {
+            // 2·10⁻⁶ a count.
+            terms.nonlinearity[axis] = 2e-6 * 2048.0 / G * side;
         }
         let truth = ErrorModel::new(terms).expect("within bounds");
         let force = SpecificForceMps2(ups[k].map(|c| c * G));
@@ -164,19 +156,14 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
         if late && fault == Fault::SignFlip {
             y[axis] = -y[axis];
         }
-        let short = fault == Fault::ShortPoses && k % 5 == 2;
-        let samples = if short { 10.0 } else { 1000.0 };
         for y in &mut y {
             *y += scatter * random.normal();
-            if fault == Fault::ShortPoses {
-                *y += 0.25 * random.normal() / f64::sqrt(samples);
-            }
         }
         if fault == Fault::Normalised {
             let norm = y.iter().map(|c| c * c).sum::<f64>().sqrt();
             y = y.map(|c| c / norm * G);
         }
-        rows.push((time, samples, celsius, y.map(|c| c * 2048.0 / G)));
+        rows.push((time, y.map(|c| c * 2048.0 / G)));
     }
     Session { rows, options }
 }
@@ -186,13 +173,8 @@ fn run(session: &Session, options: &CalibrateOptions) -> CalibrationReport {
     let unit = Unit::Counts { si_per_lsb: None };
     let force = TrackInfo::new("poses", Quantity::SpecificForce, unit);
     let force = recording.track(force);
-    let celsius = recording.track(TrackInfo::new("poses", Quantity::Temperature, Unit::Si));
-    let counts = recording.track(TrackInfo::new("Samples", Quantity::Scalar, Unit::Si));
-    for (time, samples, temperature, value) in &session.rows {
-        let time = (time * 1e9) as i64;
-        recording.row(force, time, value);
-        recording.row(counts, time, &[*samples]);
-        recording.row(celsius, time, &[*temperature]);
+    for (time, value) in &session.rows {
+        recording.row(force, (time * 1e9) as i64, value);
     }
     let selection = Selection { accelerometer: None, poses: true };
     let data = recording.samples(selection).expect("poses");
@@ -216,7 +198,6 @@ fn is_named(report: &CalibrationReport, fault: Fault) -> bool {
     match fault {
         Fault::SensitivityFar => refused("2048 LSB/g is likely"),
         Fault::Normalised => refused("normalised"),
-        Fault::ShortPoses => report.rejected == 0 && warnings(report).is_empty(),
         _ => warnings(report).first().map(|finding| finding.code) == fault.code(),
     }
 }
@@ -227,7 +208,7 @@ fn the_first_finding_names_the_fault() {
     let sessions = trials(500);
     for seed in 0..sessions {
         let fault = Fault::ALL[seed % Fault::ALL.len()];
-        let session = session(seed as u64, 16 + seed % 15, fault);
+        let session = session(50_000 + seed as u64, 16 + seed % 15, fault);
         let report = run(&session, &session.options);
         let [all, named, many, refused] = counts.entry(fault).or_default();
         *all += 1;
@@ -269,7 +250,7 @@ fn a_sound_session_has_no_warning() {
     let sessions = trials(500);
     let mut warned = 0;
     for seed in 0..sessions {
-        let session = session(10_000 + seed as u64, 12 + seed % 19, Fault::None);
+        let session = session(70_000 + seed as u64, 12 + seed % 19, Fault::None);
         let report = run(&session, &session.options);
         let warnings = warnings(&report);
         if !warnings.is_empty() || report.fit.is_none() {

@@ -2,8 +2,8 @@
 
 use wimu_host::Code;
 use wimu_host::chart::{Band, Chart, Series, broken};
+use wimu_host::document::Document;
 use wimu_host::formats::Overview;
-use wimu_host::html::Report;
 use wimu_host::recording::{Quantity, Sink, TrackInfo, Unit};
 
 fn chart(points: Vec<(f64, f64)>, log: bool) -> Chart {
@@ -50,7 +50,7 @@ fn a_line_is_broken_where_points_are_missing() {
 }
 
 /// What is written of a page.
-fn page(report: &Report) -> String {
+fn page(report: &Document) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.html");
     report.write(&path).unwrap();
@@ -68,7 +68,7 @@ const EVIL: &str = "</script><img src=x onerror=alert(1)><!--\"&";
 
 #[test]
 fn names_cannot_break_the_page() {
-    let mut report = Report::new(EVIL);
+    let mut report = Document::new(EVIL);
     report.result(EVIL).key(EVIL, EVIL).printed(EVIL).findings(&[Code::Clock.warning(EVIL)]).table(
         EVIL,
         &[EVIL],
@@ -101,7 +101,7 @@ fn a_page_keeps_every_extreme_and_every_break_of_many_points() {
     points[54_321].1 = -99.0;
     points[77_777].1 = f64::NAN;
     let chart = Chart { series: vec![Series::line("a", points)], ..Chart::default() };
-    let page = page(Report::new("a").chart(&chart));
+    let page = page(Document::new("a").chart(&chart));
     let data = data(&page);
     let values = |axis: &str| data["series"][0][axis].as_array().unwrap().clone();
     let (x, y) = (values("x"), values("y"));

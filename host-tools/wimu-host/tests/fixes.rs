@@ -1,8 +1,10 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
 use wimu_host::Problem;
+use wimu_host::inertial::aids::Mounting;
+use wimu_host::inertial::aids::position::POSITION;
 use wimu_host::inertial::{
-    Choice, Fix, Fixes, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
+    Aid, Aids, Choice, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
 };
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_testkit::Random;
@@ -31,7 +33,7 @@ fn truth(t: f64) -> (f64, [[f64; 2]; 3]) {
 }
 
 /// The recording, and a fix each second at the antenna `arm_m` before the unit, `late_s` after its measurement.
-fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
+fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Aid>) {
     let mut random = Random::new(5);
     let (mut times, mut samples, mut fixes) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..(LENGTH_S * RATE_HZ) as usize {
@@ -60,15 +62,14 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Fix>) {
     (MotionRecording::new("simulated", times, samples), fixes)
 }
 
-fn fix(time_s: f64, position_m: [f64; 3]) -> Fix {
-    Fix { position_m, position_sd_m: [0.05; 3], ..Fix::at(time_s) }
+fn fix(time_s: f64, position_m: [f64; 3]) -> Aid {
+    Aid::of(&POSITION, time_s, &position_m, 0.05)
 }
 
-fn aided(fixes: Vec<Fix>, arm_m: f64) -> Choice {
-    Choice {
-        fixes: Fixes { fixes, lever_arm_m: [arm_m, 0.0, 0.0], ..Fixes::default() },
-        ..Choice::default()
-    }
+fn aided(fixes: Vec<Aid>, arm_m: f64) -> Choice {
+    let lever_arm_m = [arm_m, 0.0, 0.0];
+    let aids = fixes.into_iter().map(|fix| Aid { lever_arm_m, ..fix }).collect();
+    Choice { aids: Aids { aids, ..Aids::default() }, ..Choice::default() }
 }
 
 /// Largest error of the position after the first ten seconds, m.
@@ -122,7 +123,7 @@ fn fixes_by_another_clock_are_refused_with_both_times() {
 #[test]
 fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
-    fixes[20].position_m[0] += 30.0;
+    fixes[20].value[0] += 30.0;
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(says(&path, "1 of 37 fixes contradict"), "{:?}", path.findings);
     assert!(!says(&path, "jumps"), "{:?}", path.findings);
@@ -133,7 +134,7 @@ fn a_fix_that_contradicts_the_path_is_reported_and_not_used() {
 fn fixes_that_go_on_contradicting_are_followed_with_a_finding() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
     for fix in &mut fixes[20..] {
-        fix.position_m[0] += 30.0;
+        fix.value[0] += 30.0;
     }
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(
@@ -149,7 +150,7 @@ fn fixes_that_go_on_contradicting_are_followed_with_a_finding() {
 #[test]
 fn lever_arm_and_delay_are_taken_into_account() {
     let (recording, fixes) = recorded(1.5, 0.4);
-    let shifted = fixes.iter().map(|fix| Fix { time_s: fix.time_s - 0.4, ..*fix });
+    let shifted = fixes.iter().map(|fix| Aid { time_s: fix.time_s - 0.4, ..*fix });
     let known = navigate(&recording, &aided(shifted.collect(), 1.5)).unwrap();
     assert!(error_m(&known) < 0.4, "{}", error_m(&known));
     let unknown = navigate(&recording, &aided(fixes, 0.0)).unwrap();
@@ -177,16 +178,17 @@ fn a_table_of_fixes_may_leave_out_columns_and_values() {
     let text =
         "Time (ms),Height (cm),Height Sigma (cm),Heading (deg)\n500,200,10,\n1500,,,90\n2500,,,\n";
     std::fs::write(&file, text).unwrap();
-    let read = Fixes::read(&file, 0.25).unwrap();
-    let [height, heading] = read.fixes[..] else {
+    let late = Mounting { delay_s: 0.25, ..Mounting::default() };
+    let read = Aids::read(&file, &late).unwrap();
+    let [height, heading] = read.aids[..] else {
         panic!("{read:?}");
     };
-    assert_eq!((height.time_s, height.position_m[2]), (0.25, 2.0));
-    assert!(height.position_sd_m[0].is_infinite() && (height.position_sd_m[2] - 0.1).abs() < 1e-12);
-    assert_eq!(height.heading_rad, None);
-    assert!((heading.heading_rad.unwrap()[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
-    std::fs::write(&file, "Time (s),Speed (m/s)\n1,2\n").unwrap();
-    let refused = Fixes::read(&file, 0.0).unwrap_err();
+    assert_eq!((height.kind.name, height.time_s, height.value[2]), ("position", 0.25, 2.0));
+    assert!(height.sd[0].is_infinite() && (height.sd[2] - 0.1).abs() < 1e-12);
+    assert_eq!(heading.kind.name, "heading");
+    assert!((heading.value[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    std::fs::write(&file, "Time (s),Depth (m)\n1,2\n").unwrap();
+    let refused = Aids::read(&file, &Mounting::default()).unwrap_err();
     assert!(refused.to_string().contains("`Position E (m)` is missing"), "{refused}");
 }
 
@@ -196,7 +198,7 @@ fn what_of_a_table_of_fixes_is_not_used_is_reported() {
     let file = folder.path().join("fixes.csv");
     let noticed = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        let read = Fixes::read(&file, 0.0).unwrap();
+        let read = Aids::read(&file, &Mounting::default()).unwrap();
         let texts: Vec<String> = read.findings.iter().map(ToString::to_string).collect();
         texts.join("\n")
     };
@@ -214,7 +216,7 @@ fn what_of_a_table_of_fixes_is_not_used_is_reported() {
 #[test]
 fn a_path_that_its_fixes_cannot_hold_to_the_limit_is_refused_with_their_sigma() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
-    fixes.iter_mut().for_each(|fix| fix.position_sd_m = [30.0; 3]);
+    fixes.iter_mut().for_each(|fix| fix.sd = [30.0; 3]);
     let refused = navigate(&recording, &aided(fixes, 0.0)).unwrap_err();
     assert!(refused.remedy.contains("the fixes are ± 52 m"), "{refused} {}", refused.remedy);
 }
@@ -222,11 +224,12 @@ fn a_path_that_its_fixes_cannot_hold_to_the_limit_is_refused_with_their_sigma() 
 /// The recording as a stream: each fix arrives `late_s` after its time. The answer at each tenth sample.
 fn streamed(live: &mut Live, late_s: f64, arm_m: f64) -> Vec<PathPoint> {
     let (recording, fixes) = recorded(arm_m, 0.0);
-    let mut fixes = fixes.into_iter().peekable();
+    let lever_arm_m = [arm_m, 0.0, 0.0];
+    let mut fixes = fixes.into_iter().map(|fix| Aid { lever_arm_m, ..fix }).peekable();
     let mut points = Vec::new();
     for (k, (time_s, sample)) in recording.times_s.iter().zip(&recording.samples).enumerate() {
         while let Some(fix) = fixes.next_if(|fix| fix.time_s + late_s <= *time_s) {
-            live.fix(fix);
+            live.aid(fix);
         }
         live.push(*time_s, *sample).unwrap();
         if k % 10 == 9 {
@@ -241,10 +244,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let (recording, fixes) = recorded(0.5, 0.0);
     let choice = Choice { smooth: false, ..aided(fixes, 0.5) };
     let path = navigate(&recording, &choice).unwrap();
-    let begun = Choice {
-        fixes: Fixes { lever_arm_m: [0.5, 0.0, 0.0], ..Fixes::default() },
-        ..Choice::default()
-    };
+    let begun = Choice::default();
     let off = |late_s: f64, delay_s: f64| {
         let mut live = Live::new(begun.clone(), MotionRecording::default(), delay_s);
         let points = streamed(&mut live, late_s, 0.5);
@@ -296,7 +296,7 @@ fn late_fixes_without_their_delay_name_it() {
     // A wrong fix is not late.
     let (recording, mut fixes) = recorded(0.0, 0.0);
     for k in [12, 20, 30] {
-        fixes[k].position_m[k % 2] += 30.0;
+        fixes[k].value[k % 2] += 30.0;
     }
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(says(&path, "3 of 37 fixes"), "{:?}", path.findings);
@@ -337,4 +337,65 @@ fn the_offset_of_a_clock_is_that_of_the_least_delayed_of_the_last_two_minutes() 
     }
     let offset_s = clock.offset_s().unwrap();
     assert!((1000.48..1000.6).contains(&offset_s), "{offset_s}");
+}
+
+/// Height of a lift that stands for ten seconds and then goes up and down, m.
+fn height_m(time_s: f64) -> f64 {
+    3.0 * (1.0 - (time_s - 10.0).max(0.0).cos())
+}
+
+/// A unit in the lift, whose accelerometer has a bias.
+fn lifted() -> MotionRecording {
+    let mut random = Random::new(7);
+    let sample = |k: u32| {
+        let above_s = f64::from(k) * 0.01 - 10.0;
+        let up = if above_s > 0.0 { 3.0 * above_s.cos() } else { 0.0 };
+        let noise = random.normals(0.02);
+        let rate_rad_s = Some(random.normals(0.001));
+        let force_mps2 = [noise[0], noise[1], GRAVITY + up + 0.03 + noise[2]];
+        UnitSample { step_s: 0.01, force_mps2, rate_rad_s, field_ut: None }
+    };
+    let samples = (0..6000).map(sample).collect();
+    let times = (0..6000).map(|k| f64::from(k) * 0.01).collect();
+    MotionRecording::new("lift", times, samples)
+}
+
+#[test]
+fn a_barometer_is_a_table_with_pressures_and_finds_the_height_of_the_origin() {
+    let recording = lifted();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("pressure.csv");
+    let rows = (0..600).map(|k| {
+        let time_s = f64::from(k) * 0.1;
+        let above_m = 1000.0 + height_m(time_s);
+        let hpa = 1013.25 * (1.0 - above_m / 44_330.8_f64).powf(5.255_88);
+        format!("{time_s},{hpa}\n")
+    });
+    let text = format!("Time (s),Pressure (hPa)\n{}", rows.collect::<String>());
+    std::fs::write(&file, text).unwrap();
+    let aids = Aids::read(&file, &Mounting::default()).unwrap();
+    let alone = Choice { limit_m: f64::INFINITY, ..Choice::default() };
+    let path = navigate(&recording, &Choice { aids, ..alone.clone() }).unwrap();
+    let end = path.points[5500];
+    let sd = end.sigma_m()[2];
+    assert!((end.position_m[2] - height_m(55.0)).abs() < 3.0 * sd && sd < 1.5, "{end:?}");
+    let without = navigate(&recording, &alone).unwrap().points[5500].sigma_m()[2];
+    assert!(without > 3.0 * sd, "{without} {sd}");
+    let origin = &path.states[0];
+    assert_eq!(origin.name, "pressure height of the origin");
+    assert!((origin.value - 1000.0).abs() < 3.0, "{origin:?}");
+    let found = path.aids["pressure"];
+    assert!(found.used > 590, "{found:?}");
+    assert!(path.residuals.iter().all(|residual| residual.aid == "pressure"));
+}
+
+#[test]
+fn a_fix_whose_time_is_uncertain_is_worth_less_in_motion() {
+    let (recording, fixes) = recorded(0.0, 0.0);
+    let sd_m = |time_sd_s: f64| {
+        let fixes = fixes.iter().map(|fix| Aid { time_sd_s, ..*fix }).collect();
+        let choice = Choice { smooth: false, ..aided(fixes, 0.0) };
+        navigate(&recording, &choice).unwrap().points[3000].sd_m()
+    };
+    assert!(sd_m(0.2) > 1.5 * sd_m(0.0), "{} {}", sd_m(0.2), sd_m(0.0));
 }

@@ -1,9 +1,10 @@
 //! What navigating a file claims.
 
+use crate::common::{UNITS, push};
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::Code;
-use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use wimu_host::inertial::{Choice, InertialPath, Method, StartPose, Zupt, navigate};
 use wimu_host::motion::UnitSample;
 use wimu_host::motion::{MotionRecording, Truth};
@@ -359,19 +360,17 @@ fn what_a_file_does_not_support_is_refused() {
     let counts = file(&format!("{head}\n0,1,2,3\n1,1,2,3\n"));
     let refused = MotionRecording::from_csv(&counts).unwrap_err();
     assert_eq!(refused.code, Code::UnknownFormat);
-    let refused = ArrayRecording::from_csv(&counts, 2048.0).unwrap_err();
-    assert_eq!(refused.code, Code::CsvMissingColumn);
+    let refused = Array::read(&[&counts], &UNITS).unwrap_err();
+    assert_eq!(refused.code, Code::Usage);
 }
 
 /// An array at rest in one attitude.
-fn still_array(sensors: usize) -> ArrayRecording {
-    let mut recording = ArrayRecording::default();
+fn still_array(sensors: usize) -> Array {
+    let mut recording = Array::default();
     for k in 0..400_usize {
-        recording.times_s.push(k as f64 * 0.01);
         let noise = |s: usize| ((k * 31 + s * 17) % 11) as f64 * 0.004 - 0.02;
         let sample = (0..sensors).map(|s| [noise(s), -noise(s + 3), 9.8 + noise(s + 5)]);
-        recording.outputs.push(sample.collect());
-        recording.saturated.push(0);
+        push(&mut recording, k as f64 * 0.01, sample);
     }
     recording
 }

@@ -3,10 +3,11 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use crate::common::UNITS;
 use proptest::prelude::*;
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
-use wimu_host::array::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry, ArrayUnit};
 use wimu_host::inertial::{Choice, InertialPath, Profile, Zupt, navigate, navigate_array};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{Code, Problem};
@@ -134,7 +135,7 @@ proptest! {
         let geometry = ArrayGeometry::read(Path::new("four:30mm")).unwrap();
         let zupt = [Zupt::Assumed, Zupt::Stated, Zupt::Off][seed as usize % 3];
         let choice = Choice { zupt, ..Choice::default() };
-        let recording = ArrayRecording::from_csv(&csv, 2048.0).unwrap();
+        let recording = Array::read(&[&csv], &UNITS).unwrap();
         let found = recording.arranged(&geometry).and_then(|recording| {
             let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
             navigate_array(&recording, &geometry, &calibration, &choice)
@@ -215,12 +216,14 @@ fn an_output_of_an_array_beyond_any_full_scale_is_left_out_and_said() {
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     for (value, left_out) in [(65_536.0, true), (1e308, true), (1999.0, false)] {
         let csv = file(&table(0.3, &[(300, 4, value)], &names, 3));
-        let recording = ArrayRecording::from_csv(&csv, 2048.0).unwrap();
+        let recording = Array::read(&[&csv], &UNITS).unwrap();
         let said = "2000 m/s², in 1 output, first at 3.00 s";
         let says = recording.remarks.iter().any(|remark| remark.contains(said));
         assert_eq!(says, left_out, "{:?}", recording.remarks);
-        let finite =
-            recording.outputs.iter().flatten().flatten().all(|v| v.is_nan() || v.abs() < 2000.0);
+        let is_kept = |unit: &ArrayUnit| {
+            unit.force.v.iter().all(|v| v.iter().all(|v| v.is_nan() || v.abs() < 2000.0))
+        };
+        let finite = recording.units.iter().all(is_kept);
         assert!(finite);
     }
 }

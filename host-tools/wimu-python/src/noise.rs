@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use pyo3::prelude::*;
 use wimu_host::allan::{AxisNoise, NoiseReport, SensorNoise, noise_of};
-use wimu_host::html::ToDocument;
+use wimu_host::document::ToDocument;
 use wimu_model::Sensitivity;
 
 use crate::arrays::{Array1, Array2, column, plain, table};

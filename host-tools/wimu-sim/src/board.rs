@@ -19,17 +19,19 @@ use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
 use wimu_node::{
-    DataReady, InertialSensor, NearestRate, Pair, Shared, TimeoutBus, Timer, line_rate,
-    wimu_adxl345, wimu_lsm6dso,
+    DataReady, InertialSensor, NearestRate, Pair, Polled, Shared, TimeoutBus, Timer, line_rate,
+    wimu_adxl345, wimu_lsm6dso, wimu_mpu6050,
 };
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
 use crate::i2c::{Faults, SimI2c, Target};
+use crate::icm42688::{self, PolledIcm42688};
 pub use crate::part::SensorPart;
 use crate::pipe::{Channels, DeviceReader, DeviceWriter, HostEnd, LinkConfig, faulty_link};
 use crate::sensor::Sensor;
 use crate::source::Source;
+use crate::spi::SimSpi;
 use crate::storage::Storage;
 
 /// Range of a second accelerometer, ± g.
@@ -300,14 +302,12 @@ fn boot(
     let (wireless_reader, wireless_writer, mut wireless) =
         link(config.wireless, &config.wireless_faults, wireless_channels);
     let timer = BoardTimer::new(clock, clock.now(), config);
-    let (part, quantities) = config.sensor.identity();
     let hello = Hello {
         device_id: config.device_id,
         firmware: firmware_version(),
-        capabilities: quantities.with(Capabilities::DATA_READY).with(Capabilities::STORE),
+        capabilities: Capabilities::STORE,
         sensitivity_known: !config.replay,
         board: Part::new(board::SIMULATED, "simulated"),
-        sensor: if config.replay { Part::new(sensor::REPLAY, "replay") } else { part },
         ..Hello::new(LinkRole::Cable)
     };
     let storage = config.storage.clone();
@@ -324,6 +324,10 @@ fn boot(
         let address = wimu_adxl345::Address::Low;
         let bus = wimu_adxl345::I2cBus { i2c: bus(), address };
         wimu_node::Adxl345::new(bus, line(device), timer.clone())
+    };
+    let lsm6dso_bus = || {
+        let address = wimu_lsm6dso::Address::Low;
+        wimu_lsm6dso::I2cBus { i2c: bus(), address }
     };
     let time = timer.clone();
     let node = match (config.sensor, second) {
@@ -342,23 +346,47 @@ fn boot(
             node(hello, adxl345(device), time, storage, links, nearest_rate)
         }
         (SensorPart::Lsm6dso, _) => {
-            let address = wimu_lsm6dso::Address::Low;
-            let bus = wimu_lsm6dso::I2cBus { i2c: bus(), address };
-            let sensor = wimu_node::Lsm6dso::new(bus, line(device), timer.clone());
+            let sensor = wimu_node::Lsm6dso::<_, _, _>::new(lsm6dso_bus(), line(device), timer);
+            node(hello, sensor, time, storage, links, nearest_rate)
+        }
+        (SensorPart::Lsm6ds3trC, _) => {
+            let sensor = wimu_node::Lsm6ds3trC::new(lsm6dso_bus(), line(device), timer);
+            node(hello, sensor, time, storage, links, nearest_rate)
+        }
+        (SensorPart::Mpu6050, _) => {
+            let bus = wimu_mpu6050::I2cBus { i2c: bus(), address: wimu_mpu6050::Address::Low };
+            let sensor = wimu_node::Mpu6050::new(bus, line(device), timer);
+            node(hello, sensor, time, storage, links, nearest_rate)
+        }
+        (SensorPart::Icm42688, _) => {
+            let spi = SimSpi::new(clock, Rc::new(device.clone()), 1_000_000);
+            let reader = PolledIcm42688::new(spi, timer.clone());
+            let sensor = Polled::new(reader, icm42688::PLANNER, timer);
             node(hello, sensor, time, storage, links, nearest_rate)
         }
     };
     (node, faults, cable, wireless)
 }
 
-fn node(
+fn node<A: InertialSensor + 'static>(
     hello: Hello,
-    sensor: impl InertialSensor + 'static,
+    sensor: A,
     timer: BoardTimer,
     storage: Storage,
     [cable, wireless]: [(DeviceReader, DeviceWriter); 2],
     nearest_rate: Option<NearestRate>,
 ) -> Running {
+    let timed = if A::CAPABILITIES.contains(Capabilities::POLLED) {
+        Capabilities(0)
+    } else {
+        Capabilities::DATA_READY
+    };
+    let replay = Part::new(sensor::REPLAY, "replay");
+    let hello = Hello {
+        capabilities: hello.capabilities.with(A::CAPABILITIES).with(timed),
+        sensor: if hello.sensitivity_known { A::PART } else { replay },
+        ..hello
+    };
     // Different at each start, and the same in every run: a simulation has no secrets.
     let entropy = u128::from(hello.device_id) << 64 | u128::from(timer.started_us);
     let board = wimu_node::Board {

@@ -1,7 +1,5 @@
 //! The sensors that a board can have.
 
-use wimu_link::hello::{Capabilities, Part, sensor};
-
 use crate::clock::VirtualClock;
 use crate::sensor::Sensor;
 use crate::source::Source;
@@ -17,6 +15,12 @@ pub enum SensorPart {
     Adxl345,
     /// Accelerometer, gyroscope and thermometer, read through its FIFO.
     Lsm6dso,
+    /// The same, with a FIFO without tags.
+    Lsm6ds3trC,
+    /// Accelerometer, gyroscope and thermometer, read through a FIFO without watermark.
+    Mpu6050,
+    /// Accelerometer, gyroscope and thermometer on SPI, read at intervals of the board's timer.
+    Icm42688,
 }
 
 impl SensorPart {
@@ -26,6 +30,9 @@ impl SensorPart {
             Self::Lsm303agr => Sensor::lsm303agr(clock, source),
             Self::Adxl345 => Sensor::adxl345(clock, source),
             Self::Lsm6dso => Sensor::lsm6dso(clock, 0x6A, source),
+            Self::Lsm6ds3trC => Sensor::lsm6ds3tr_c(clock, 0x6A, source),
+            Self::Mpu6050 => Sensor::mpu6050(clock, 0x68, source),
+            Self::Icm42688 => Sensor::icm42688(clock, source),
         }
     }
 
@@ -34,7 +41,10 @@ impl SensorPart {
         match self {
             Self::Lsm303agr => SensorTruth::random(seed, gauge),
             Self::Adxl345 => SensorTruth::random_adxl345(seed, gauge),
-            Self::Lsm6dso => SensorTruth::random_lsm6dso(seed, gauge),
+            Self::Lsm6dso | Self::Lsm6ds3trC | Self::Icm42688 => {
+                SensorTruth::random_lsm6dso(seed, gauge)
+            }
+            Self::Mpu6050 => SensorTruth::random_mpu6050(seed, gauge),
         }
     }
 
@@ -44,19 +54,21 @@ impl SensorPart {
             Self::Lsm303agr => 0x33,
             Self::Adxl345 => 0xE5,
             Self::Lsm6dso => 0x6C,
+            Self::Lsm6ds3trC => 0x6A,
+            Self::Mpu6050 => 0x68,
+            Self::Icm42688 => 0x47,
         }
     }
 
-    /// Number and name, and the quantities that it measures.
-    pub fn identity(self) -> (Part, Capabilities) {
-        use Capabilities as C;
-        let (number, name, quantities) = match self {
-            Self::Lsm303agr => {
-                (sensor::LSM303AGR, "LSM303AGR", C::MAGNETOMETER.with(C::TEMPERATURE))
-            }
-            Self::Adxl345 => (sensor::ADXL345, "ADXL345", Capabilities(0)),
-            Self::Lsm6dso => (sensor::LSM6DSO, "LSM6DSO", C::GYROSCOPE.with(C::TEMPERATURE)),
-        };
-        (Part::new(number, name), quantities.with(C::ACCELEROMETER))
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lsm303agr => "LSM303AGR",
+            Self::Adxl345 => "ADXL345",
+            Self::Lsm6dso => "LSM6DSO",
+            Self::Lsm6ds3trC => "LSM6DS3TR-C",
+            Self::Mpu6050 => "MPU-6050",
+            Self::Icm42688 => "ICM-42688",
+        }
     }
 }

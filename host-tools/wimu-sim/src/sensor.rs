@@ -11,8 +11,10 @@ use crate::chip::Chip;
 pub use crate::chip::GyroscopeFault;
 use crate::clock::{Until, VirtualClock};
 use crate::i2c::Target;
+use crate::icm42688::Icm42688;
 use crate::lsm6dso::Lsm6dso;
 use crate::lsm303agr::Lsm303agr;
+use crate::mpu6050::Mpu6050;
 use crate::source::Source;
 
 /// A simulated sensor; clones are the same one, so that one can be on the bus and another be controlled by
@@ -63,6 +65,22 @@ impl Sensor {
     /// line is INT1.
     pub fn lsm6dso(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
         Self::of(clock, source, Box::new(Lsm6dso::new(address)))
+    }
+
+    /// An LSM6DS3TR-C at `address` (0x6A or 0x6B), likewise.
+    pub fn lsm6ds3tr_c(clock: &VirtualClock, address: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Lsm6dso::lsm6ds3tr_c(address)))
+    }
+
+    /// A chip of the MPU-6050 family at 0x68 that identifies itself as `who_am_i`: 0x68 is an MPU-6050, others are an
+    /// MPU-6500 or a part like it. Its interrupt line is INT.
+    pub fn mpu6050(clock: &VirtualClock, who_am_i: u8, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Mpu6050::new(who_am_i)))
+    }
+
+    /// An ICM-42688 on SPI; its interrupt line is not modelled.
+    pub fn icm42688(clock: &VirtualClock, source: impl Source + 'static) -> Self {
+        Self::of(clock, source, Box::new(Icm42688::default()))
     }
 
     pub(crate) fn of(

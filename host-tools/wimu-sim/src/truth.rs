@@ -187,4 +187,16 @@ impl SensorTruth {
             ..Self::random(seed, gauge)
         }
     }
+
+    /// A typical uncalibrated MPU-6050: as [`random_lsm6dso`](Self::random_lsm6dso), but with noise of 400 µg/√Hz and
+    /// 5 m°/s/√Hz (PS-MPU-6000A-00).
+    pub fn random_mpu6050(seed: u64, gauge: Gauge) -> Self {
+        let other = Self::random_lsm6dso(seed, gauge);
+        let noise_radps_per_rthz = 5e-3_f64.to_radians();
+        Self {
+            noise_mps2_per_rthz: 400e-6 * STANDARD_GRAVITY_MPS2,
+            gyroscope: GyroscopeTruth { noise_radps_per_rthz, ..other.gyroscope },
+            ..other
+        }
+    }
 }

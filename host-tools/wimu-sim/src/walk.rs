@@ -2,7 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use wimu_host::inertial::{Fix, Fixes};
+use wimu_host::inertial::aids::position::POSITION;
+use wimu_host::inertial::{Aid, Aids};
 use wimu_host::localization::{AnchorPosition, RangeRecording, RangeSample};
 use wimu_host::motion::{MotionRecording, Truth, UnitSample};
 pub use wimu_host::navigation::distance_m;
@@ -243,17 +244,14 @@ pub fn sensed(motion: &dyn Motion, rate_hz: f64, seed: u64) -> MotionRecording {
 }
 
 /// Position fixes of a motion at an interval, s, with a standard deviation of each component, m.
-pub fn fixes(motion: &dyn Motion, interval_s: f64, deviation_m: f64, seed: u64) -> Fixes {
+pub fn fixes(motion: &dyn Motion, interval_s: f64, deviation_m: f64, seed: u64) -> Aids {
     let mut random = Random::new(seed, 22);
     let fix = |k: usize| {
         let time_s = k as f64 * interval_s;
         let position_m = motion.pose(time_s).position_m;
-        Fix {
-            position_m: position_m.map(|p| p + deviation_m * random.gaussian()),
-            position_sd_m: [deviation_m; 3],
-            ..Fix::at(time_s)
-        }
+        let measured_m = position_m.map(|p| p + deviation_m * random.gaussian());
+        Aid::of(&POSITION, time_s, &measured_m, deviation_m)
     };
     let count = (motion.duration() / interval_s) as usize;
-    Fixes { fixes: (0..count).map(fix).collect(), ..Fixes::default() }
+    Aids { aids: (0..count).map(fix).collect(), ..Aids::default() }
 }

@@ -14,3 +14,4 @@ mod multi_range;
 mod physics;
 mod pipe;
 mod session;
+mod six_axes;

@@ -1,7 +1,8 @@
 //! A walk with ranges that arrive while it goes on, beside the filter of its recording.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_host::inertial::{Choice, Fix, Fixes, Live, PathPoint, Profile};
+use wimu_host::inertial::aids::Mounting;
+use wimu_host::inertial::{Aids, Choice, Live, PathPoint, Profile};
 use wimu_host::localization::{
     LocalizationChoice, RangePrior, RangeRecording, RangeSample, Ranging, localize,
 };
@@ -25,8 +26,8 @@ fn walked(seed: u64, blocked: f64) -> (Strides, MotionRecording, RangeWalk) {
 fn live(anchors: &RangeRecording, profile: Profile) -> Live {
     let prior = RangePrior::ULTRA_WIDEBAND;
     let ranging = Ranging::new("hall", anchors.anchors.clone(), anchors.planar, &prior);
-    let fixes = Fixes { ranging: Some(ranging), ..Fixes::default() };
-    let choice = Choice { profile, fixes, ..Choice::default() };
+    let aids = Aids { ranging: Some(ranging), ..Aids::default() };
+    let choice = Choice { profile, aids, ..Choice::default() };
     Live::new(choice, MotionRecording::default(), 0.5)
 }
 
@@ -44,7 +45,7 @@ fn streamed(
     let mut points = Vec::new();
     for (k, (time_s, sample)) in motion.times_s.iter().zip(&motion.samples).enumerate() {
         while let Some((_, range)) = arrivals.next_if(|(arrived_s, _)| arrived_s <= time_s) {
-            live.fix(Fix::from(range));
+            live.aid(range.aid(&Mounting::default()));
         }
         live.push(*time_s, *sample).unwrap();
         if k % 50 == 49 {
@@ -104,7 +105,7 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
     let is_late = |k: usize| k % 10 == 3 && all[k].time_s > 5.0;
     let mut live = live(&ranges.recording, Profile::Hand);
     let points = streamed(&mut live, &motion, all, |k| if is_late(k) { 1.5 } else { 0.0 });
-    let [_, aided] = live.aided();
+    let aided = live.aids()["range"];
     println!("{aided:?}");
     let until_s = motion.times_s[motion.times_s.len() - 1];
     let arrived = |k: &usize| is_late(*k) && all[*k].time_s + 1.5 <= until_s;

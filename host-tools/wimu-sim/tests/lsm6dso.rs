@@ -145,7 +145,7 @@ async fn drain<B: Bus>(
         let batch = driver.read(&mut samples).await?;
         batches.push(batch);
         all.extend_from_slice(&samples[..batch.count]);
-        if batch.words_left < 2 {
+        if batch.samples_left < 1 {
             break;
         }
     }

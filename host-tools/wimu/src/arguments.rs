@@ -311,6 +311,13 @@ pub enum Chip {
     Adxl345,
     /// Accelerometer, gyroscope and temperature sensor
     Lsm6dso,
+    /// The same as on a XIAO nRF52840 Sense
+    #[value(name = "lsm6ds3tr-c")]
+    Lsm6ds3trC,
+    /// Accelerometer and gyroscope of GY-521 modules
+    Mpu6050,
+    /// Accelerometer and gyroscope read at intervals of a timer
+    Icm42688,
 }
 
 impl From<Chip> for SensorPart {
@@ -319,6 +326,9 @@ impl From<Chip> for SensorPart {
             Chip::Lsm303agr => Self::Lsm303agr,
             Chip::Adxl345 => Self::Adxl345,
             Chip::Lsm6dso => Self::Lsm6dso,
+            Chip::Lsm6ds3trC => Self::Lsm6ds3trC,
+            Chip::Mpu6050 => Self::Mpu6050,
+            Chip::Icm42688 => Self::Icm42688,
         }
     }
 }

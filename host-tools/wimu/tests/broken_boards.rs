@@ -114,7 +114,7 @@ fn the_reset_reason_is_reported_with_addresses_after_a_panic() {
                 device_id: 7,
                 reset_reason: reason,
                 fault,
-                board: Part::new(board::PICO_ADXL345, "Pico"),
+                board: Part::new(board::PICO, "Pico"),
                 sensor: Part::new(sensor::ADXL345, "ADXL345"),
                 ..Hello::new(LinkRole::Cable)
             };

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use kit::{Transcript, wimu};
 
-/// A UF2 file of one block: vectors at `address` whose stack begins at `stack`.
+/// A UF2 file of one block for an RP2040: vectors at `address` whose stack begins at `stack`.
 fn image(folder: &Path, address: u32, stack: u32) -> String {
     let mut block = vec![0; 512];
     let words = [
@@ -15,6 +15,7 @@ fn image(folder: &Path, address: u32, stack: u32) -> String {
         (12, address),
         (16, 256),
         (24, 1),
+        (28, 0xe48b_ff56),
         (32, stack),
         (508, 0x0ab1_6f30),
     ];
@@ -36,14 +37,12 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
     let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
     let qemu = image(folder.path(), 0, 0x2040_0000);
 
-    wimu(&["device", "flash"]).fails(2, "usage");
     wimu(&["device", "flash", "microbit-v1"]).fails(2, "usage");
     for (image, code) in [(&missing, "file_unreadable"), (&letter, "unknown_format")] {
         let ran = wimu(&["device", "flash", "microbit-v2", "--image", image]);
         texts.fails(code, &ran, 2, code);
     }
-    for (board, other) in [("microbit-v2", &pico), ("microbit-v2", &qemu), ("pico-adxl345", &qemu)]
-    {
+    for (board, other) in [("microbit-v2", &pico), ("microbit-v2", &qemu), ("pico", &qemu)] {
         let ran = wimu(&["device", "flash", board, "--image", other]);
         let failure = texts.fails(board, &ran, 2, "wrong_image");
         assert_eq!(failure["place"]["at"], other.as_str());
@@ -52,24 +51,36 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
 }
 
 #[test]
+fn an_image_is_copied_to_the_drive_of_its_board() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let drive = tempfile::tempdir().expect("a folder");
+    let to = drive.path().display().to_string();
+    let image = image(folder.path(), 0x1000_0100, 0x2004_0000);
+    // A drive that tells no board, and then one that does.
+    wimu(&["device", "flash", "--image", &image, "--drive", &to]).fails(2, "usage");
+    let info = "UF2 Bootloader v3.0\r\nModel: Raspberry Pi RP2\r\nBoard-ID: RPI-RP2\r\n";
+    std::fs::write(drive.path().join("INFO_UF2.TXT"), info).expect("writable");
+    let written = wimu(&["device", "flash", "--image", &image, "--drive", &to]).succeeds();
+    assert_eq!((&written["board"], &written["bytes"]), (&"pico".into(), &512.into()));
+    let name = Path::new(&image).file_name().expect("a name");
+    assert_eq!(std::fs::read(drive.path().join(name)).ok(), std::fs::read(&image).ok());
+}
+
+#[test]
 fn without_a_probe_the_other_procedure_is_described() {
     let mut texts = Transcript::default();
     let folder = tempfile::tempdir().expect("a folder");
     let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
-    let flash = wimu(&["device", "flash", "pico-adxl345", "--image", &pico]);
+    let flash = wimu(&["device", "flash", "pico", "--image", &pico]);
     let (exit, code) = match cfg!(feature = "flash") {
         true => (1, "probe_absent"),
         false => (2, "feature_missing"),
     };
     texts.fails("flash", &flash, exit, code);
     if cfg!(feature = "flash") {
-        let list = wimu(&["device", "flash", "--list"]).succeeds();
-        assert_eq!(list["probes"], serde_json::json!([]));
-        let ran = wimu(&["device", "flash", "pico-adxl345", "--image", &pico, "--probe", "pico"]);
+        let ran = wimu(&["device", "flash", "pico", "--image", &pico, "--probe", "pico"]);
         ran.fails(2, "usage");
     } else {
-        let ran = wimu(&["device", "flash", "--list"]);
-        texts.fails("--list", &ran, 2, "feature_missing");
         texts.check("flash_without_feature");
     }
 }

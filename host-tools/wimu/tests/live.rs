@@ -149,11 +149,11 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
     let (poses, found) = navigated(&[&of[..], &[&link]].concat());
     let last = poses.last().unwrap();
     assert!(near(last, AT_M) < 0.2 && last["valid"] == true, "{last}");
-    let used = found["ranges"]["used"].as_u64().unwrap();
+    let used = found["aids"]["range"]["used"].as_u64().unwrap();
     assert!((60..400).contains(&used), "{found}");
     // Those that arrived before the first sample.
-    assert!(found["ranges"]["late"].is_u64(), "{found}");
-    assert_eq!(found["fixes"], Value::Null);
+    assert!(found["aids"]["range"]["late"].is_u64(), "{found}");
+    assert_eq!(found["aids"]["position"], Value::Null);
     let text = found["problems"].to_string();
     assert!(text.contains("2 lines of the ranges cannot be read"), "{text}");
 
@@ -166,7 +166,7 @@ fn ranges_over_a_link_or_from_a_file_move_a_board_to_the_frame_of_the_anchors() 
     let (poses, found) = navigated(&[&of[..], &[&file]].concat());
     let last = poses.last().unwrap();
     assert!(near(last, AT_M) < 0.2, "{last}");
-    assert!(found["ranges"]["used"].as_u64().unwrap() > 60, "{found}");
+    assert!(found["aids"]["range"]["used"].as_u64().unwrap() > 60, "{found}");
     wimu(&of[..6]).fails(2, "usage");
 }
 
@@ -189,7 +189,7 @@ fn a_board_is_navigated_live_and_fixes_over_a_link_move_it_to_their_frame() {
     let (poses, path) = navigated(&[&arguments[..], &[file.to_str().unwrap()]].concat());
     let last = poses.last().unwrap();
     assert!(near(last, [10.0, -5.0, 1.0]) < 0.2, "{last}");
-    assert!(path["fixes"]["used"].as_u64().unwrap() > 20, "{path}");
+    assert!(path["aids"]["position"]["used"].as_u64().unwrap() > 20, "{path}");
     let rows = fs::read_to_string(file).unwrap().lines().count();
     assert_eq!(rows, poses.len() + 1, "a header, and a row for each position");
     let said = |text: &str| {

@@ -32,26 +32,28 @@ pub const MICROBIT: Board = Board {
     ..board("firmware/microbit-v2", "wimu-microbit-v2", TARGETS[0])
 };
 pub const PICO: Board = Board {
-    format: Some(Format::Uf2),
+    format: Some(Format::Uf2(0xe48b_ff56)),
     has_log: true,
-    ..board("firmware/pico-adxl345", "wimu-pico-adxl345", TARGETS[1])
+    ..board("firmware/pico", "wimu-pico", TARGETS[1])
 };
 /// Its build script reads C headers.
-pub const RADIO: Board =
-    Board { folder: "firmware/nrf52840-ble", program: "wimu-nrf52840-ble", ..MICROBIT };
+pub const XIAO: Board = Board {
+    format: Some(Format::Uf2(0xada5_2840)),
+    has_log: true,
+    ..board("firmware/xiao-nrf52840", "wimu-xiao-nrf52840", TARGETS[0])
+};
 const STM32: Board =
     Board { has_log: true, ..board("firmware/stm32f411", "wimu-stm32f411", TARGETS[0]) };
 pub const BARE_LOOP: Board = board("firmware/bare-loop", "bare-loop", TARGETS[0]);
 pub const BENCH: Board = board("firmware/bench", "bench", TARGETS[0]);
-const PORT: Board = board("examples/port-template", "port-template", TARGETS[0]);
 
-pub const ALL: [Board; 8] = [QEMU, MICROBIT, PICO, RADIO, STM32, BARE_LOOP, BENCH, PORT];
+pub const ALL: [Board; 7] = [QEMU, MICROBIT, PICO, XIAO, STM32, BARE_LOOP, BENCH];
 
 /// The boards that can be built on this machine.
 pub fn buildable(sh: &Shell) -> Vec<Board> {
     let mut boards = Vec::from(ALL);
     if !has(sh, "libclang") {
-        boards.retain(|board| board.folder != RADIO.folder);
+        boards.retain(|board| board.folder != XIAO.folder);
     }
     boards
 }
@@ -115,17 +117,17 @@ pub fn write_all(sh: &Shell) -> Result {
     Ok(())
 }
 
-/// Builds the board called `name` and writes it through a debug probe with `wimu device flash` and its `options`.
+/// Builds the board called `name` and writes it with `wimu device flash` and its `options`.
 pub fn flash(sh: &Shell, name: &str, options: &[String]) -> Result {
     let mut boards = ALL.into_iter().filter(|board| board.format.is_some());
     let board = boards.find(|board| board.folder.ends_with(&format!("/{name}")));
-    let board = board.ok_or("the boards are microbit-v2, nrf52840-ble and pico-adxl345")?;
+    let board = board.ok_or("the boards are microbit-v2, pico and xiao-nrf52840")?;
     board.build(sh, &[])?;
     board.write()?;
     // In the foreground, with the terminal's input.
     let wimu = cmd!(
         sh,
-        "cargo run --release --quiet -p wimu --features flash -- flash {name} {options...}"
+        "cargo run --release --quiet -p wimu --features flash -- device flash {name} {options...}"
     );
     foreground(wimu)
 }
@@ -146,9 +148,10 @@ fn foreground(command: Cmd<'_>) -> Result {
     if status.success() { Ok(()) } else { std::process::exit(status.code().unwrap_or(1)) }
 }
 
-/// The emulated RP2040 with an ADXL345 runs the Pico's image.
-pub fn build_pico(sh: &Shell) -> Result<[PathBuf; 2]> {
-    PICO.build(sh, &[])?;
+/// The emulated RP2040 runs the Pico's image for this sensor, with the cable on UART1: it has no USB.
+pub fn build_pico(sh: &Shell, sensor: &str) -> Result<[PathBuf; 2]> {
+    let features = format!("pico,{sensor}");
+    PICO.build(sh, &["--no-default-features", "--features", &features])?;
     let file = PICO.write()?.ok_or("the Pico takes a file")?;
     Ok([std::path::absolute(file)?, PICO.image(PICO.program)])
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_testkit::figure;
 use xshell::{Shell, cmd};
 
-use crate::boards::{BARE_LOOP, Board, MICROBIT, PICO, QEMU, RADIO, buildable};
+use crate::boards::{BARE_LOOP, Board, MICROBIT, PICO, QEMU, XIAO, buildable};
 use crate::size::Size;
 use crate::{Result, instructions};
 
@@ -57,7 +57,7 @@ const IMAGES: [Image; 7] = [
     image("profile full, micro:bit", MICROBIT, [81, 16], [79_600, 16_384]),
     image("Pico", PICO, [80, 16], [113_664, 22_000]),
     // Half of it is the controller and the host stack of Bluetooth: it has no target.
-    image("nRF52840 with BLE", RADIO, [0, 0], [230 << 10, 42_000]),
+    image("XIAO nRF52840 with BLE and USB", XIAO, [0, 0], [206_000, 40_000]),
     function("bare loop", "bare-loop", 8, 14_000),
 ];
 

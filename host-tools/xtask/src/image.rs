@@ -1,4 +1,4 @@
-//! Images as boards take them without a probe: Intel HEX for drag and drop onto a micro:bit, UF2 for a Pico.
+//! Images as boards take them without a probe: Intel HEX for drag and drop onto a micro:bit, UF2 for a Pico or a XIAO.
 
 use std::path::{Path, PathBuf};
 
@@ -16,15 +16,15 @@ const FOLDER: &str = "target/firmware";
 const HEX_LINE: usize = 16;
 /// Bytes of a block of a UF2 file that carry data.
 const UF2_PAGE: u32 = 256;
-/// The last word of a block's head is a family of processors.
+/// The last word of a block's head is a family of boards.
 const UF2_HAS_FAMILY: u32 = 0x2000;
-const UF2_FAMILY_RP2040: u32 = 0xe48b_ff56;
 
 /// How a board takes its image.
 #[derive(Clone, Copy)]
 pub enum Format {
     Hex,
-    Uf2,
+    /// Of this family of boards.
+    Uf2(u32),
 }
 
 /// Writes the image in the ELF file `elf` as the board in `folder` takes it; says where.
@@ -33,7 +33,7 @@ pub fn write(folder: &Path, elf: &Path, format: Format) -> Result<PathBuf> {
     let (start, image) = sealed(&bytes)?;
     let (content, extension) = match format {
         Format::Hex => (hex(start, &image)?.into_bytes(), "hex"),
-        Format::Uf2 => (uf2(start, &image), "uf2"),
+        Format::Uf2(family) => (uf2(family, start, &image), "uf2"),
     };
     let name = folder.file_name().unwrap_or_default();
     let path = Path::new(FOLDER).join(name).with_extension(extension);
@@ -85,14 +85,14 @@ fn hex(start: u32, image: &[u8]) -> Result<String> {
 }
 
 /// `start` is that of a page.
-fn uf2(start: u32, image: &[u8]) -> Vec<u8> {
+fn uf2(family: u32, start: u32, image: &[u8]) -> Vec<u8> {
     let pages = image.chunks(UF2_PAGE as usize);
     let count = pages.len() as u32;
     let mut blocks = Vec::new();
     for (index, page) in (0..).zip(pages) {
         let address = start + index * UF2_PAGE;
         let head = [0x0a32_4655, 0x9e5d_5157, UF2_HAS_FAMILY, address, UF2_PAGE, index, count];
-        let head = head.into_iter().chain([UF2_FAMILY_RP2040]);
+        let head = head.into_iter().chain([family]);
         let block = blocks.len();
         blocks.extend(head.flat_map(u32::to_le_bytes));
         blocks.extend_from_slice(page);

@@ -8,6 +8,7 @@ mod instructions;
 mod lanes;
 mod lines;
 mod panics;
+mod pictures;
 mod python;
 mod release;
 mod setup;
@@ -50,7 +51,9 @@ enum Task {
     Lines,
     /// Build every board; target/firmware gets the files for the boards' drives
     Firmware,
-    /// Build a board and write it through its debug probe, with `wimu device flash` and its options
+    /// Draw the wires of the boards: docs/pictures/wiring-*.svg
+    Pictures,
+    /// Build a board and write it, with `wimu device flash` and its options
     Flash {
         board: String,
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -106,6 +109,7 @@ fn run(task: Task) -> Result {
         Task::Release(selection) => lanes::run(&sh, release::RELEASE, &selection.only),
         Task::Lines => lines::run(&sh),
         Task::Firmware => boards::write_all(&sh),
+        Task::Pictures => pictures::write(),
         Task::Flash { board, options } => boards::flash(&sh, &board, &options),
         Task::Qemu { options } => boards::qemu(&sh, &options),
         Task::Budget => budget::run(&sh),

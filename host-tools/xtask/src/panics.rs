@@ -20,6 +20,7 @@ const LIBRARIES: [(&str, &str); 7] = [
     ("wimu-registers", ""),
     ("wimu-adxl345", ""),
     ("wimu-lsm6dso", ""),
+    ("wimu-mpu6050", ""),
     ("wimu-node", "full,flash-store"),
 ];
 /// Functions for constants, whose panic is an error of the compiler.

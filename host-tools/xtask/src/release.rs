@@ -2,9 +2,9 @@
 
 use xshell::{Shell, cmd};
 
-use crate::boards::{QEMU, build_pico, buildable};
+use crate::boards::{PICO, QEMU, build_pico, buildable};
 use crate::lanes::{Lane, Run, libraries};
-use crate::setup::{OLDEST, TARGETS, embedded_cargo, has, has_core};
+use crate::setup::{OLDEST, PICO2, TARGETS, embedded_cargo, has, has_core};
 use crate::{Result, budget, instructions, panics, python, setup};
 
 /// Tests of the host that take minutes or need a program; campaigns are not among them.
@@ -90,6 +90,14 @@ fn boards(run: &Run<'_>) -> Result {
         if board.has_log {
             board.build(run.sh, &["--features", "defmt"])?;
         }
+        if has_clippy && board.folder == PICO.folder {
+            let pico2 = ["--no-default-features", "--features", "pico2,mpu6050,usb"];
+            board.cargo(
+                run.sh,
+                "check",
+                &[&["--release", "--target", PICO2][..], &pico2].concat(),
+            )?;
+        }
         if has_clippy {
             board.cargo(run.sh, "clippy", &[&["--release"], &DENY[..]].concat())?;
         }
@@ -101,9 +109,12 @@ fn pico(run: &Run<'_>) -> Result {
     if !has(run.sh, "rp2040js") {
         return Ok(());
     }
-    let [file, elf] = build_pico(run.sh)?;
-    let tests = cmd!(run.sh, "cargo test --locked --workspace --test all pico:: -- --ignored");
-    run.tests(tests.env("WIMU_PICO_FIRMWARE", file).env("WIMU_PICO_ELF", elf))
+    for (sensor, names) in [("adxl345", "pico::"), ("mpu6050", "pico_mpu6050::")] {
+        let [file, elf] = build_pico(run.sh, sensor)?;
+        let tests = cmd!(run.sh, "cargo test --locked --workspace --test all {names} -- --ignored");
+        run.tests(tests.env("WIMU_PICO_FIRMWARE", file).env("WIMU_PICO_ELF", elf))?;
+    }
+    Ok(())
 }
 
 fn optional(run: &Run<'_>) -> Result {

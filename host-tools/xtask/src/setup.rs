@@ -6,6 +6,8 @@ use crate::Result;
 
 /// Cortex-M4F and Cortex-M0+.
 pub const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
+/// Cortex-M33 of a Pico 2.
+pub const PICO2: &str = "thumbv8m.main-none-eabihf";
 /// The oldest Rust that users may have.
 pub const OLDEST: &str = env!("CARGO_PKG_RUST_VERSION");
 
@@ -31,6 +33,9 @@ const CORE: &str = "(for target in thumbv7em-none-eabihf thumbv6m-none-eabi; do 
      ls \"$(/usr/bin/rustc --print sysroot)/lib/rustlib/src/rust/library/core/Cargo.toml\")";
 const INSTALL_CORE: &str = "rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi || \
      apt rustc-web cargo-web rust-web-src lld";
+/// The same for the boards of the lane `release` only.
+const OTHER_CORE: &str = "for target in thumbv8m.main-none-eabihf riscv32imc-unknown-none-elf; do \
+     ls \"$(rustc --print target-libdir --target $target)\"/libcore-*.rlib || exit 1; done";
 const OLDEST_CHECK: &str =
     concat!("rustup run ", env!("CARGO_PKG_RUST_VERSION"), " cargo --version");
 const OLDEST_INSTALL: &str =
@@ -49,7 +54,7 @@ const NEEDS: [Need; 8] = [
 ];
 /// What only the lane `release` needs, which leaves out what cannot be done without it.
 #[rustfmt::skip]
-const RELEASE_NEEDS: [Need; 7] = [
+const RELEASE_NEEDS: [Need; 8] = [
     need("maturin", "target/python/bin/python -m maturin --version", "pip maturin"),
     need("faketime", "command -v faketime", "apt faketime"),
     need("libclang", "ls /usr/lib/llvm-*/lib/libclang.so*", "apt libclang-dev"),
@@ -57,6 +62,7 @@ const RELEASE_NEEDS: [Need; 7] = [
     need("Node.js", "node --version && npm --version", "apt nodejs npm"),
     need("rp2040js", "ls tests/pico/node_modules/rp2040js", "npm ci --no-audit --no-fund --prefix tests/pico"),
     need("the oldest Rust", OLDEST_CHECK, OLDEST_INSTALL),
+    need("core for Cortex-M33 and RISC-V", OTHER_CORE, "rustup target add thumbv8m.main-none-eabihf riscv32imc-unknown-none-elf"),
 ];
 
 /// Finds everything that the lane `test` needs, or with `release` that one too; as root or with CI=true it installs what

@@ -61,9 +61,8 @@ impl Machine {
         let image = match sensor {
             SensorPart::Lsm303agr => image.to_owned(),
             other => {
-                let (part, _) = other.identity();
                 let mut name = image.file_name().unwrap_or_default().to_owned();
-                name.push(format!("-{}", part.name).to_lowercase());
+                name.push(format!("-{}", other.name()).to_lowercase());
                 image.with_file_name(name)
             }
         };

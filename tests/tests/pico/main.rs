@@ -4,6 +4,6 @@
 mod faults;
 mod image;
 mod rates;
-mod run;
+pub mod run;
 mod store;
 mod streams;

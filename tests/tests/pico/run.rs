@@ -37,6 +37,11 @@ impl Run {
 
 /// Runs the image for `seconds` of its time while `script` happens.
 pub fn run(seconds: f64, script: &[Value]) -> Run {
+    run_with("adxl345", seconds, script)
+}
+
+/// The same with another sensor.
+pub fn run_with(sensor: &str, seconds: f64, script: &[Value]) -> Run {
     let image =
         std::env::var("WIMU_PICO_FIRMWARE").expect("`cargo xtask release --only pico` says it");
     let emulator = Path::new(env!("CARGO_MANIFEST_DIR")).join("pico/run.mjs");
@@ -49,6 +54,7 @@ pub fn run(seconds: f64, script: &[Value]) -> Run {
         .arg(seconds.to_string())
         .arg(folder.path())
         .arg(file)
+        .env("WIMU_PICO_SENSOR", sensor)
         .status()
         .expect("node runs");
     assert!(status.success());

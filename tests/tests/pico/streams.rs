@@ -28,7 +28,7 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
         link.assert_perfect();
         let boot = &run.boots(role)[0];
         let hello = boot.hello.expect("it was asked");
-        assert_eq!(hello.board.number, board::PICO_ADXL345);
+        assert_eq!(hello.board.number, board::PICO);
         assert_eq!(hello.role, role);
         assert!(!hello.capabilities.contains(Capabilities::MAGNETOMETER));
         assert!(boot.environment.is_empty());

@@ -18,10 +18,9 @@ pub(super) fn slope_of(parameter: Parameter) -> Option<Slot> {
     pairs.find(|(of, _)| *of == parameter).map(|pair| pair.1)
 }
 
-/// Sessions, perhaps without one of them.
+/// Sessions of one sensor.
 pub(super) struct Sessions<'a> {
     all: &'a [Estimate],
-    skipped: Option<usize>,
     /// Whether temperature coefficients are estimated.
     pub slopes: bool,
     /// Mean temperature, °C.
@@ -31,11 +30,8 @@ pub(super) struct Sessions<'a> {
 /// Variance between sessions.
 #[derive(Clone, Copy)]
 pub(super) struct Between {
-    group: Group,
     pub variance: f64,
     pub dof: f64,
-    /// [`Line::shrinkage`] of each parameter.
-    shrinkage: [f64; Parameter::COUNT],
 }
 
 /// One parameter as a function of temperature.
@@ -52,43 +48,21 @@ pub(super) struct Line {
     between: f64,
     /// Precision of the slope's prior; infinite if it is 0.
     prior: f64,
-    /// Fraction by which the prior reduces the slope, 0..=1.
-    shrinkage: f64,
     /// Weighted sum of squared residuals, and its expectation.
     residual: f64,
     dof: f64,
 }
 
-impl Line {
-    /// Variance at a temperature.
-    pub fn variance(&self, dt: f64) -> f64 {
-        let from_mean = dt - self.mean_k;
-        1.0 / self.weight + from_mean * from_mean * self.slope_variance
-    }
-}
-
 impl<'a> Sessions<'a> {
-    pub fn new(all: &'a [Estimate], skipped: Option<usize>) -> Self {
+    pub fn new(all: &'a [Estimate]) -> Self {
         let known = all.iter().all(|session| session.temperature_c.is_some());
-        let mut sessions = Self {
-            all,
-            skipped,
-            slopes: known && all.len() >= SESSIONS_FOR_SLOPES,
-            reference_c: 0.0,
-        };
-        let sum: f64 = sessions.iter().filter_map(|s| s.temperature_c).sum();
-        sessions.reference_c = sum / sessions.iter().count() as f64;
-        sessions
-    }
-
-    fn iter(&self) -> impl Iterator<Item = &'a Estimate> {
-        let skipped = self.skipped;
-        let all = self.all.iter().enumerate();
-        all.filter(move |(k, _)| Some(*k) != skipped).map(|pair| pair.1)
+        let sum: f64 = all.iter().filter_map(|session| session.temperature_c).sum();
+        let slopes = known && all.len() >= SESSIONS_FOR_SLOPES;
+        Self { all, slopes, reference_c: sum / all.len() as f64 }
     }
 
     /// Temperature of a session from the reference, K; 0 if no coefficients are estimated.
-    pub fn kelvin(&self, session: &Estimate) -> f64 {
+    fn kelvin(&self, session: &Estimate) -> f64 {
         match session.temperature_c {
             Some(celsius) if self.slopes => celsius - self.reference_c,
             _ => 0.0,
@@ -98,7 +72,7 @@ impl<'a> Sessions<'a> {
     /// Value of a parameter in each session, its variance there and the temperature from the
     /// reference.
     fn values(&self, parameter: Parameter) -> impl Iterator<Item = (f64, f64, f64)> {
-        self.iter().map(move |session| {
+        self.all.iter().map(move |session| {
             let terms = session.model.terms();
             let value = match parameter.index() {
                 axis @ 0..3 => terms.bias_mps2[axis],
@@ -113,14 +87,9 @@ impl<'a> Sessions<'a> {
     /// Regression on temperature with the variance `between` sessions and the slope's prior.
     /// Equation (152).
     pub fn line(&self, parameter: Parameter, between: f64) -> Line {
-        self.line_with(parameter, between, None)
-    }
-
-    /// The same with a given shrinkage of the slope instead of its prior.
-    fn line_with(&self, parameter: Parameter, between: f64, shrinkage: Option<f64>) -> Line {
         let prior_sd = slope_of(parameter).filter(|_| self.slopes);
         let prior_sd = prior_sd.and_then(Slot::usual_sd);
-        let mut prior = prior_sd.map_or(f64::INFINITY, |sd| 1.0 / (sd * sd));
+        let prior = prior_sd.map_or(f64::INFINITY, |sd| 1.0 / (sd * sd));
         let (mut count, mut weight, mut mean, mut mean_k) = (0.0, 0.0, 0.0, 0.0);
         for (value, variance, dt) in self.values(parameter) {
             let w = 1.0 / (variance + between);
@@ -136,9 +105,6 @@ impl<'a> Sessions<'a> {
             square += w * (dt - mean_k) * (dt - mean_k);
             product += w * (dt - mean_k) * value;
         }
-        if let Some(fraction) = shrinkage.filter(|_| prior.is_finite()) {
-            prior = square * fraction / (1.0 - fraction).max(f64::MIN_POSITIVE);
-        }
         let slope_variance = 1.0 / (square + prior);
         let slope = product * slope_variance;
         let mut residual = 0.0;
@@ -146,10 +112,8 @@ impl<'a> Sessions<'a> {
             let off = value - mean - slope * (dt - mean_k);
             residual += off * off / (variance + between);
         }
-        let shrinkage = match prior.is_finite() {
-            true => prior * slope_variance,
-            false => 1.0,
-        };
+        // Fraction by which the prior reduces the slope, 0..=1.
+        let shrinkage = if prior.is_finite() { prior * slope_variance } else { 1.0 };
         Line {
             level: mean - slope * mean_k,
             slope,
@@ -158,7 +122,6 @@ impl<'a> Sessions<'a> {
             mean_k,
             between,
             prior,
-            shrinkage,
             residual,
             dof: count - 2.0 + shrinkage * shrinkage,
         }
@@ -172,12 +135,11 @@ impl<'a> Sessions<'a> {
     }
 
     /// Sum of squared residuals of a group over its expectation, which falls with the variance
-    /// between sessions, and the expectation; with the shrinkages of `fixed`, if given.
-    fn ratio(&self, group: Group, between: f64, fixed: Option<&Between>) -> (f64, f64) {
+    /// between sessions, and the expectation.
+    fn ratio(&self, group: Group, between: f64) -> (f64, f64) {
         let (mut residual, mut dof) = (0.0, 0.0);
         for parameter in self.of(group) {
-            let shrinkage = fixed.map(|found| found.shrinkage[parameter.index()]);
-            let line = self.line_with(parameter, between, shrinkage);
+            let line = self.line(parameter, between);
             residual += line.residual;
             dof += line.dof;
         }
@@ -185,8 +147,8 @@ impl<'a> Sessions<'a> {
     }
 
     /// The variance between sessions at which the ratio is `target`.
-    fn variance_at(&self, group: Group, target: f64, fixed: Option<&Between>) -> f64 {
-        let above = |between: f64| self.ratio(group, between, fixed).0 > target;
+    fn variance_at(&self, group: Group, target: f64) -> f64 {
+        let above = |between: f64| self.ratio(group, between).0 > target;
         let (mut low, mut high) = (0.0, LEAST_SD * LEAST_SD);
         if !above(0.0) {
             return 0.0;
@@ -210,33 +172,17 @@ impl<'a> Sessions<'a> {
 
     /// Paule and Mandel's estimate. Equation (153).
     pub fn between(&self, group: Group) -> Between {
-        let variance = self.variance_at(group, 1.0, None);
-        let mut shrinkage = [1.0; Parameter::COUNT];
-        for parameter in self.of(group) {
-            shrinkage[parameter.index()] = self.line(parameter, variance).shrinkage;
-        }
-        let (_, dof) = self.ratio(group, variance, None);
-        Between { group, variance, dof, shrinkage }
+        let variance = self.variance_at(group, 1.0);
+        Between { variance, dof: self.ratio(group, variance).1 }
     }
 
-    /// Mean of the variance between sessions over its confidence distribution, equation (154): with
-    /// negligible variances within the sessions dof/(dof − 2) times the estimate.
-    pub fn expected(&self, found: &Between) -> f64 {
-        const NODES: usize = 32;
+    /// Mean of what the variance between sessions can be, equation (154): with negligible variances within the sessions
+    /// dof/(dof − 2) times the estimate.
+    pub fn expected(&self, group: Group, found: Between) -> f64 {
         if found.dof < 1.0 {
             return 0.0;
         }
-        // Over χ, the root of χ², whose density is smooth at 0.
-        let end = libm::sqrt(found.dof) + 5.0;
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for k in 0..NODES {
-            let chi = end * (k as f64 + 0.5) / NODES as f64;
-            let density = libm::pow(chi, found.dof - 1.0) * libm::exp(-0.5 * chi * chi);
-            let target = chi * chi / found.dof;
-            sum += density * self.variance_at(found.group, target, Some(found));
-            weights += density;
-        }
-        sum / weights
+        self.variance_at(group, (found.dof - 2.0).max(1.0) / found.dof)
     }
 
     /// Covariance of the levels. Equation (155).
@@ -249,7 +195,7 @@ impl<'a> Sessions<'a> {
         for parameter in Parameters::ALL.without(fitted).iter() {
             sum.set(parameter, parameter, first.covariance.get(parameter, parameter));
         }
-        for session in self.iter() {
+        for session in self.all.iter() {
             let dt = self.kelvin(session);
             let gain = |p: Parameter| {
                 let line = &lines[p.index()];
@@ -289,7 +235,7 @@ impl<'a> Sessions<'a> {
 
     pub fn temperature(&self) -> Option<CalibratedTemperature> {
         let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
-        for session in self.iter() {
+        for session in self.all.iter() {
             let mean = session.temperature_c?;
             let [low, high] = session.temperature_range_c.unwrap_or([mean, mean]);
             (lowest, highest) = (lowest.min(low), highest.max(high));

@@ -5,14 +5,14 @@ use alloc::string::String;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::filter::Angles;
+use super::model::Angles;
 use super::rests::Session;
 use crate::orientation::axis_name;
 use crate::{Reason, Refusal, UnitHint};
 
-/// Largest error of the predicted directions of an uncalibrated gyroscope, rad rms (12°): 5 % of 180°,
-/// and misalignment.
-const PLAUSIBLE_RAD: f64 = 0.21;
+/// Largest error of the predicted directions of an uncalibrated gyroscope, rad rms (23°): scale factors 10 % off over
+/// 180°, and misalignment.
+const PLAUSIBLE_RAD: f64 = 0.4;
 /// An explanation must be better than the next one by this factor.
 const CLEARLY: f64 = 0.6;
 /// Output over angular rate with wrong units or a wrong full-scale range.
@@ -37,11 +37,11 @@ pub(super) struct Start {
 pub(super) fn plausible(session: &Session<'_>) -> Result<Start, Refusal> {
     let poses = session.given.poses;
     if let Some(rest) = poses.iter().position(|pose| session.rest(pose).is_none()) {
-        let text = format!("samples of rest {rest} (from 0) are missing or not finite: remove it");
+        let text = format!("Samples of rest {rest} (from 0) are missing or not finite. Remove it.");
         return Err(Refusal::new(Reason::Input { index: rest }, text));
     }
     if poses.is_empty() {
-        let text = "no rest was found: hold the sensor still for two seconds";
+        let text = "No rest was found. Hold the sensor still for two seconds.";
         return Err(Refusal::new(Reason::TooFew { have: 0, need: 1 }, text));
     }
     let angles = session.angles(Matrix3::identity(), true);
@@ -59,8 +59,8 @@ pub(super) fn plausible(session: &Session<'_>) -> Result<Start, Refusal> {
         let share = (rest.force.norm() / force - 1.0).abs();
         if rate_rad_s > AT_REST_RAD_S || share > AT_REST_SHARE {
             let text = format!(
-                "the sensor was not at rest in rest {k} (from 0), it rotated by {:.1} °/s or accelerated: put it down \
-                 there",
+                "The sensor was not at rest in rest {k} (from 0): it rotated by {:.1} °/s or accelerated. Put it down \
+                 there.",
                 rate_rad_s.to_degrees()
             );
             return Err(Refusal::new(Reason::Moved { index: k }, text));
@@ -110,15 +110,15 @@ impl Explanation {
         match *self {
             Self::Unit { factor } => {
                 let text = match factor {
-                    50.0..65.0 => "the angular rates are 57.3 times too large: they are probably in deg/s, name that unit \
-                                   in the columns"
+                    50.0..65.0 => "The angular rates are 57.3 times too large, probably in deg/s. Name that unit in the \
+                                   columns."
                         .into(),
-                    0.015..0.02 => "the angular rates are 57.3 times too small: they are probably in rad/s, name that \
-                                    unit in the columns"
+                    0.015..0.02 => "The angular rates are 57.3 times too small, probably in rad/s. Name that unit in the \
+                                    columns."
                         .into(),
                     _ => format!(
-                        "the angular rates are about {factor} times the rotation: check the sensitivity and the \
-                         full-scale range of the gyroscope"
+                        "The angular rates are about {factor} times the rotation. Check the sensitivity and the \
+                         full-scale range of the gyroscope."
                     ),
                 };
                 let reason = Reason::Unit { magnitude: rms_rad, hint: UnitHint::Sensitivity };
@@ -132,8 +132,8 @@ impl Explanation {
                     names += &format!("{} = {sign}{}{comma}", axis_name(axis), axis_name(of));
                 }
                 let text = format!(
-                    "the axes of gyroscope and accelerometer differ: the rates about {names} of the gyroscope; correct \
-                     order and signs in the driver or the columns"
+                    "The axes of gyroscope and accelerometer differ: {names} of the gyroscope. Correct order and signs in \
+                     the driver or the columns."
                 );
                 Refusal::new(Reason::Axes, text)
             }
@@ -145,8 +145,8 @@ impl Explanation {
 pub(super) fn inconsistent(angles: &Angles) -> Refusal {
     let (rms, index) = (angles.rms_rad(), angles.worst_turn);
     let text = format!(
-        "the rotations predict gravity with an error of {:.1}° rms, the largest after rest {index} (from 0): check units \
-         and times, or repeat the turns more slowly",
+        "The rotations predict the direction of gravity to {:.1}° rms only, worst after rest {index} (from 0). Check units \
+         and times, or rotate more slowly.",
         rms.to_degrees()
     );
     Refusal::new(Reason::PoorFit { rms, index }, text)

@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::SpecificForceMps2;
 
-use super::filter::Angles;
+use super::model::Angles;
 use super::turn::Turn;
 use super::{AccelerometerCalibration, GyroscopeSession, SixAxisSample, Theta, TurnFault};
 use crate::Pose;

@@ -2,18 +2,21 @@
 
 use alloc::format;
 use alloc::string::String;
+use alloc::vec::Vec;
 use core::cmp::Ordering;
 
-use nalgebra::{Cholesky, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 use wimu_model::{
     Alignment, MagnetometerModel, MagnetometerRotation, MagnetometerTerms, RotationCovariance,
 };
 
 use super::{EARTHS_NT, MagneticPose, not_earths};
-
 use crate::ellipsoid::ellipsoid;
+use crate::least_squares::{self, ResidualModel, Rows, Settings};
 use crate::{Reason, Refusal, student};
 
+/// The fits have converged when the residuals change by this fraction of the field, rms.
+const SETTINGS: Settings = Settings { cauchy: None, last_step: 1e-10, magnitude: 1.0 };
 /// Largest condition number.
 const MOST_CONDITION: f64 = 30.0;
 /// Largest residual, fraction of the field, rms.
@@ -84,140 +87,128 @@ pub(super) fn inverse_soft(theta: &Iron) -> Matrix3<f64> {
     symmetric(&theta.as_slice()[3..])
 }
 
-/// Residual |B| − 1 at a point, and its derivatives.
-fn row(theta: &Iron, point: Vector3<f64>) -> (f64, Iron) {
-    let w = inverse_soft(theta);
-    let off = point - hard(theta);
-    let field = w * off;
-    let size = field.norm();
-    let ahead = field / size;
-    let back = -(w * ahead);
-    let mut row = Iron::zeros();
-    for k in 0..3 {
-        row[k] = back[k];
-    }
-    for (k, (r, c)) in PLACES.into_iter().enumerate() {
-        row[3 + k] = ahead[r] * off[c];
-        if r != c {
-            row[3 + k] += ahead[c] * off[r];
+/// |B| = 1 at normalised points: equation (55).
+pub(super) struct Magnitude(pub Vec<Vector3<f64>>);
+
+impl ResidualModel for Magnitude {
+    type Point = Iron;
+
+    fn rows(&self, theta: &Iron) -> Option<Rows> {
+        let count = self.0.len();
+        let mut rows = Rows { residual: DVector::zeros(count), jacobian: DMatrix::zeros(count, 9) };
+        let (w, hard) = (inverse_soft(theta), hard(theta));
+        for (k, point) in self.0.iter().enumerate() {
+            let off = point - hard;
+            let field = w * off;
+            let ahead = field.try_normalize(0.0)?;
+            rows.residual[k] = field.norm() - 1.0;
+            rows.jacobian.fixed_view_mut::<1, 3>(k, 0).copy_from(&-(w * ahead).transpose());
+            for (i, (r, c)) in PLACES.into_iter().enumerate() {
+                let other = if r == c { 0.0 } else { ahead[c] * off[r] };
+                rows.jacobian[(k, 3 + i)] = ahead[r] * off[c] + other;
+            }
         }
+        Some(rows)
     }
-    (size - 1.0, row)
+
+    fn moved(&self, theta: &Iron, step: &DVector<f64>) -> Iron {
+        theta + Iron::from_column_slice(step.as_slice())
+    }
 }
 
-/// Convergence threshold: smaller steps are rounding.
-fn last_step() -> f64 {
-    f64::EPSILON * 500.0
+impl Magnitude {
+    /// The fit from an ellipsoid; with a scale the robust one from `start`.
+    pub fn fit(&self, start: &Iron, cauchy: Option<f64>) -> Option<least_squares::Fit<Iron>> {
+        let weights = alloc::vec![1.0; self.0.len()];
+        least_squares::minimise(self, start, &weights, Settings { cauchy, ..SETTINGS })
+    }
 }
 
-/// The model of all poses that are not rejected. `suspect` is the most significant outlier, if
-/// there is one.
+/// up · R b is the same in all poses, for unit vectors b, of the field, and up: equation (57).
+struct Dip(Vec<[Vector3<f64>; 2]>);
+
+impl ResidualModel for Dip {
+    /// R, magnetometer to accelerometer, and up · R b.
+    type Point = (Rotation3<f64>, f64);
+
+    fn rows(&self, (rotation, level): &Self::Point) -> Option<Rows> {
+        let count = self.0.len();
+        let mut rows = Rows { residual: DVector::zeros(count), jacobian: DMatrix::zeros(count, 4) };
+        for (k, [b, up]) in self.0.iter().enumerate() {
+            let turned = rotation * b;
+            rows.residual[k] = up.dot(&turned) - level;
+            // A small rotation δ of R b adds δ × R b.
+            let slope = turned.cross(up).transpose();
+            rows.jacobian.fixed_view_mut::<1, 3>(k, 0).copy_from(&slope);
+            rows.jacobian[(k, 3)] = -1.0;
+        }
+        Some(rows)
+    }
+
+    fn moved(&self, (rotation, level): &Self::Point, step: &DVector<f64>) -> Self::Point {
+        let turn = Rotation3::new(Vector3::new(step[0], step[1], step[2]));
+        (turn * rotation, level + step[3])
+    }
+}
+
+/// The model of the poses of these indices. `suspect` is the most significant outlier, if there is one.
 pub(super) fn model(
     all: &[MagneticPose],
-    rejected: &[usize],
+    kept: &[usize],
     suspect: &mut Option<usize>,
 ) -> Result<MagnetometerModel, Refusal> {
-    let poses = || {
-        let kept = all.iter().enumerate();
-        kept.filter(|(place, _)| !rejected.contains(place))
-    };
-    let have = poses().count();
-    let n = have as f64;
+    let poses = || kept.iter().filter_map(|k| all.get(*k));
     let none = || not_observable(f64::INFINITY);
-    let scaled = Scaled::of(poses().map(|(_, pose)| pose)).ok_or_else(none)?;
-    let points = || poses().map(|(place, pose)| (place, scaled.point(pose)));
-    let mut theta = start(points().map(|(_, point)| point)).ok_or_else(none)?;
-    let mut information = SMatrix::<f64, 9, 9>::zeros();
-    for _ in 0..50 {
-        information = SMatrix::zeros();
-        let mut gradient = Iron::zeros();
-        for (_, point) in points() {
-            let (residual, row) = row(&theta, point);
-            information.ger(1.0, &row, &row, 1.0);
-            gradient.axpy(residual, &row, 1.0);
-        }
-        let step = Cholesky::new(information).ok_or_else(none)?.solve(&gradient);
-        theta -= step;
-        if step.norm() < last_step() {
-            break;
-        }
-    }
-    let inverse = Cholesky::new(information).ok_or_else(none)?.inverse();
-    let values = information.symmetric_eigenvalues();
+    let scaled = Scaled::of(poses()).ok_or_else(none)?;
+    let field = Magnitude(poses().map(|pose| scaled.point(pose)).collect());
+    let first = start(field.0.iter().copied()).ok_or_else(none)?;
+    let fit = field.fit(&first, None).ok_or_else(none)?;
+    let values = fit.inverse.symmetric_eigenvalues();
     let condition = libm::sqrt(values.max() / values.min());
     if condition.is_nan() || condition > MOST_CONDITION {
         return Err(not_observable(condition));
     }
-    let (mut squares, mut left_out) = (0.0, 0.0);
-    let mut worst = Worst::default();
-    for (place, point) in points() {
-        let (residual, row) = row(&theta, point);
-        let left = 1.0 - row.dot(&(inverse * row));
-        squares += residual * residual;
-        left_out += (residual / left) * (residual / left);
-        worst.take(place, residual * residual / left);
-    }
-    *suspect = worst.beyond_chance(squares, have, 9);
-    let (rms, loo) = (libm::sqrt(squares / n), libm::sqrt(left_out / n));
-    let variance = squares / (n - 9.0);
+    let judged = Judged::new(&fit, &field).ok_or_else(none)?;
+    *suspect = judged.suspect(kept);
+    let worst = kept[judged.worst];
+    let Judged { rms, left_out_rms: loo, variance, .. } = judged;
     if rms.is_nan() || rms > MOST_RMS {
-        return Err(not_constant(rms, &[worst.place]));
+        return Err(not_constant(rms, &[worst]));
     }
     if loo.is_nan() || loo > (MOST_LEFT_OUT * libm::sqrt(variance)).max(1e-4) {
         let text = format!(
-            "the leave-one-out error is {:.2} % of the field rms, far above the residual: a single pose dominates the fit; \
-             add orientations",
+            "Pose {worst} (from 0) dominates the fit: left out, it is predicted to {:.2} % of the field only. Add orientations.",
             loo * 100.0
         );
-        return Err(Refusal::new(Reason::PoorPrediction { index: worst.place }, text));
+        return Err(Refusal::new(Reason::PoorPrediction { index: worst }, text));
     }
     // The scale of the field is not observable: S is normalised to determinant one.
-    let w = inverse_soft(&theta);
+    let (w, hard) = (inverse_soft(&fit.at), hard(&fit.at));
     let raw = w.try_inverse().ok_or_else(none)?;
     let size = libm::cbrt(raw.determinant());
     // Also if it is NaN.
     if !matches!(size.partial_cmp(&0.0), Some(Ordering::Greater)) {
         return Err(none());
     }
-    let s = raw / size;
-    let sd = |slope: &Iron| libm::sqrt(variance * slope.dot(&(inverse * slope)));
-    let mut soft_sd = [0.0; 6];
-    for (sd_of, (r, c)) in soft_sd.iter_mut().zip(PLACES) {
-        let mut slope = Iron::zeros();
-        for (k, (i, j)) in PLACES.into_iter().enumerate() {
-            // dS = −S dW S/det^⅓, and the change of the normalisation.
-            let mut along = raw[(r, i)] * raw[(j, c)];
-            let mut trace = raw[(i, j)];
-            if i != j {
-                along += raw[(r, j)] * raw[(i, c)];
-                trace += raw[(j, i)];
-            }
-            slope[3 + k] = (raw[(r, c)] * trace / 3.0 - along) / size;
-        }
-        *sd_of = sd(&slope);
-    }
-    let back = w * size;
-    let hard = hard(&theta);
-    let seen = |(place, pose): (usize, &MagneticPose)| {
-        let field = back * (scaled.point(pose) - hard);
-        let up = Vector3::from(pose.up);
-        (place, field.normalize(), up.normalize())
-    };
     let field_nt = size * scaled.unit_nt;
     if !EARTHS_NT.contains(&field_nt) {
         return Err(not_earths(field_nt));
     }
-    let (to_accelerometer, bent) = rotation(|| poses().map(seen))?;
+    let directions = |pose: &MagneticPose| {
+        let field = w * (scaled.point(pose) - hard);
+        [field.normalize(), Vector3::from(pose.up).normalize()]
+    };
+    let (to_accelerometer, bent) = rotation(Dip(poses().map(directions).collect()), kept)?;
     *suspect = suspect.or(bent);
-    let unit_nt = scaled.unit_nt;
+    let hard_sd = |k: usize| (scaled.unit_nt * libm::sqrt(variance * fit.inverse[(k, k)])) as f32;
+    let soft_sd = |slope: DVector<f64>| libm::sqrt(variance * fit.variance(&slope)) as f32;
     let terms = MagnetometerTerms {
         hard_iron_nt: scaled.output_nt(&hard),
-        hard_iron_sd_nt: [0, 1, 2]
-            .map(|k| (unit_nt * libm::sqrt(variance * inverse[(k, k)])) as f32),
-        soft_iron: PLACES.map(|(r, c)| s[(r, c)] as f32),
-        soft_iron_sd: soft_sd.map(|sd| sd as f32),
+        hard_iron_sd_nt: [0, 1, 2].map(hard_sd),
+        soft_iron: PLACES.map(|(r, c)| (raw[(r, c)] / size) as f32),
+        soft_iron_sd: soft_iron_slopes(&raw).map(soft_sd),
         field_nt: field_nt as f32,
-        poses: u32::try_from(have).unwrap_or(u32::MAX),
+        poses: u32::try_from(kept.len()).unwrap_or(u32::MAX),
         rms_nt: (rms * field_nt) as f32,
         loo_rms_nt: (loo * field_nt) as f32,
         condition: condition.max(1.0) as f32,
@@ -226,10 +217,32 @@ pub(super) fn model(
     MagnetometerModel::new(terms).map_err(|error| Refusal::out_of_bounds(error, "a magnetometer"))
 }
 
+/// Derivatives of S = W⁻¹ / det(W⁻¹)^⅓ by the parameters: dS = −S dW S/det^⅓, and the change of the normalisation.
+fn soft_iron_slopes(raw: &Matrix3<f64>) -> [DVector<f64>; 6] {
+    let size = libm::cbrt(raw.determinant());
+    PLACES.map(|(r, c)| {
+        let mut slope = DVector::zeros(9);
+        for (k, (i, j)) in PLACES.into_iter().enumerate() {
+            let mut along = raw[(r, i)] * raw[(j, c)];
+            let mut trace = raw[(i, j)];
+            if i != j {
+                along += raw[(r, j)] * raw[(i, c)];
+                trace += raw[(j, i)];
+            }
+            slope[3 + k] = (raw[(r, c)] * trace / 3.0 - along) / size;
+        }
+        slope
+    })
+}
+
 fn not_observable(condition: f64) -> Refusal {
+    let number = if condition.is_finite() {
+        format!(" (condition number {condition:.0})")
+    } else {
+        String::new()
+    };
     let text = format!(
-        "the poses do not determine hard and soft iron (condition {condition:.0}): add orientations unlike those you have, \
-         upside down and on every side"
+        "These poses do not determine hard and soft iron{number}. Add poses upside down and on every side."
     );
     Refusal::new(Reason::NotObservable, text)
 }
@@ -249,8 +262,8 @@ pub(super) fn not_constant(share: f64, disturbed: &[usize]) -> Refusal {
         poses += " (from 0)";
     }
     let text = format!(
-        "the field was not the same in all poses ({:.0} % rms): it was disturbed{poses}; take these again away from iron, \
-         currents and phones, and turn the sensor about one place",
+        "The field differs by {:.0} % rms: it was disturbed{poses}. Repeat these away from iron, currents and phones, and \
+         rotate the sensor about one place.",
         share * 100.0
     );
     let index = disturbed.first().copied().unwrap_or(0);
@@ -274,91 +287,46 @@ pub(super) fn start(points: impl Iterator<Item = Vector3<f64>>) -> Option<Iron> 
     (positive && theta.iter().all(|t| t.is_finite())).then_some(theta)
 }
 
-/// Residual up · R b − level, and its derivatives: a small rotation δ of R b adds δ × R b.
-fn level_row(
-    turn: &Rotation3<f64>,
-    level: f64,
-    b: &Vector3<f64>,
-    up: &Vector3<f64>,
-) -> (f64, SVector<f64, 4>) {
-    let turned = turn * b;
-    let slope = turned.cross(up);
-    let row = SVector::from([slope.x, slope.y, slope.z, -1.0]);
-    (up.dot(&turned) - level, row)
+/// Starting values of a sphere of the points' rms radius about their mean.
+pub(super) fn sphere(points: &[Vector3<f64>]) -> Iron {
+    let squares: f64 = points.iter().map(Vector3::norm_squared).sum();
+    let inverse = libm::sqrt(points.len() as f64 / squares);
+    Iron::from([0.0, 0.0, 0.0, inverse, inverse, inverse, 0.0, 0.0, 0.0])
 }
 
-/// The rotation from magnetometer to accelerometer axes for which up · R b is constant, from the
-/// index, field direction b and up of each pose; and the most significant outlier, if there is one.
-fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
-    seen: impl Fn() -> I,
-) -> Result<(MagnetometerRotation, Option<usize>), Refusal> {
-    let have = seen().count();
-    let n = have as f64;
+/// The rotation from magnetometer to accelerometer axes, and the most significant outlier, if there is one.
+fn rotation(dip: Dip, kept: &[usize]) -> Result<(MagnetometerRotation, Option<usize>), Refusal> {
     let none = || not_observable(f64::INFINITY);
-    let mut best: Option<(f64, Rotation3<f64>, f64, SMatrix<f64, 4, 4>)> = None;
+    let weights = alloc::vec![1.0; kept.len()];
     // Starting values: the 24 rotations that map axes to axes.
-    for turn in 0..24 {
+    let fits = (0..24).filter_map(|turn| {
         let quarters = |count: i32| core::f64::consts::FRAC_PI_2 * f64::from(count);
         let face = match turn / 4 {
             count @ 0..4 => Rotation3::from_axis_angle(&Vector3::x_axis(), quarters(count)),
             4 => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(1)),
             _ => Rotation3::from_axis_angle(&Vector3::y_axis(), quarters(-1)),
         };
-        let mut r = face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarters(turn % 4));
-        let mut level = 0.0;
-        let mut last: Option<(f64, SMatrix<f64, 4, 4>)> = None;
-        for _ in 0..30 {
-            let mut information = SMatrix::<f64, 4, 4>::zeros();
-            let mut gradient = SVector::<f64, 4>::zeros();
-            let mut cost = 0.0;
-            for (_, b, up) in seen() {
-                let (residual, row) = level_row(&r, level, &b, &up);
-                information.ger(1.0, &row, &row, 1.0);
-                gradient.axpy(residual, &row, 1.0);
-                cost += residual * residual;
-            }
-            last = Some((cost, information));
-            let Some(factor) = Cholesky::new(information) else {
-                break;
-            };
-            let step = -factor.solve(&gradient);
-            r = Rotation3::new(Vector3::new(step[0], step[1], step[2])) * r;
-            level += step[3];
-            if step.norm() < last_step() {
-                break;
-            }
-        }
-        let Some((cost, information)) = last else {
-            continue;
-        };
-        if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
-            best = Some((cost, r, level, information));
-        }
-    }
-    let (cost, r, level, information) = best.ok_or_else(none)?;
-    let inverse = Cholesky::new(information).ok_or_else(none)?.inverse();
+        let start = face * Rotation3::from_axis_angle(&Vector3::z_axis(), quarters(turn % 4));
+        least_squares::minimise(&dip, &(start, 0.0), &weights, SETTINGS)
+    });
+    let fit = fits.min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or_else(none)?;
+    let judged = Judged::new(&fit, &dip).ok_or_else(none)?;
+    let (rotation, level) = fit.at;
     let sine = level.clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
-    let spread_rad = libm::sqrt(cost / n) / cosine;
-    let variance = cost / (n - 4.0);
-    let mut worst = Worst::default();
-    for (place, b, up) in seen() {
-        let (residual, row) = level_row(&r, level, &b, &up);
-        let left = 1.0 - row.dot(&(inverse * row));
-        worst.take(place, residual * residual / left);
-    }
+    let spread_rad = judged.rms / cosine;
     if spread_rad.is_nan() || spread_rad > MOST_DIP_RMS {
-        let index = worst.place;
+        let index = kept[judged.worst];
         let text = format!(
-            "the dip is not the same in all poses ({:.1}° rms, most in pose {index} from 0): the field was disturbed, or \
-             field and direction are of different times; repeat the poses away from iron, currents and phones",
+            "The dip differs by {:.1}° rms between the poses, most in pose {index} (from 0): the field was disturbed, or field \
+             and direction are of different times. Repeat the poses away from iron, currents and phones.",
             spread_rad.to_degrees()
         );
         return Err(Refusal::new(Reason::PoorFit { rms: spread_rad, index }, text));
     }
     let covariance: [[f64; 3]; 3] =
-        core::array::from_fn(|a| core::array::from_fn(|b| variance * inverse[(a, b)]));
-    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&r);
+        core::array::from_fn(|a| core::array::from_fn(|b| judged.variance * fit.inverse[(a, b)]));
+    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
     let found = MagnetometerRotation {
         rotation: Alignment::from_quaternion([q.w, q.i, q.j, q.k]).map_err(|_| none())?,
         covariance: RotationCovariance::from_matrix(&covariance).map_err(|_| none())?,
@@ -366,31 +334,57 @@ fn rotation<I: Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>>(
         dip_rad: -libm::asin(sine) as f32,
         dip_rms_rad: spread_rad as f32,
     };
-    Ok((found, worst.beyond_chance(cost, have, 4)))
+    Ok((found, judged.suspect(kept)))
 }
 
-/// The pose with the largest residual.
-#[derive(Default)]
-struct Worst {
-    place: usize,
-    /// Its r²/(1 − h).
-    square: f64,
+/// Residuals of a fit, as they are and with their pose left out.
+struct Judged {
+    rms: f64,
+    left_out_rms: f64,
+    /// Of a residual.
+    variance: f64,
+    parameters: usize,
+    squares: f64,
+    /// The pose with the largest r²/(1 − h), and that.
+    worst: usize,
+    worst_square: f64,
 }
 
-impl Worst {
-    fn take(&mut self, place: usize, square: f64) {
-        if square > self.square {
-            *self = Self { place, square };
+impl Judged {
+    fn new<M: ResidualModel>(fit: &least_squares::Fit<M::Point>, model: &M) -> Option<Self>
+    where
+        M::Point: Clone,
+    {
+        let rows = model.rows(&fit.at)?;
+        let (n, parameters) = (rows.residual.len() as f64, rows.jacobian.ncols());
+        let squares = rows.residual.norm_squared();
+        let (mut left_out, mut worst, mut worst_square) = (0.0, 0, 0.0);
+        for (k, residual) in rows.residual.iter().enumerate() {
+            let left = 1.0 - fit.variance(&rows.jacobian.row(k).transpose());
+            left_out += (residual / left) * (residual / left);
+            let square = residual * residual / left;
+            if square > worst_square {
+                (worst, worst_square) = (k, square);
+            }
         }
+        Some(Self {
+            rms: libm::sqrt(squares / n),
+            left_out_rms: libm::sqrt(left_out / n),
+            variance: squares / (n - parameters as f64),
+            parameters,
+            squares,
+            worst,
+            worst_square,
+        })
     }
 
-    /// The pose, if its residual is significant: equation (16), with the variance of the other
-    /// poses.
-    fn beyond_chance(&self, squares: f64, poses: usize, parameters: usize) -> Option<usize> {
-        let freedom = poses.checked_sub(parameters + 1).filter(|left| *left > 1)? as f64;
-        let variance = (squares - self.square) / freedom;
-        let most = student::two_sided(SIGNIFICANCE / poses as f64, freedom);
+    /// The worst pose, if its residual is significant: equation (16), with the variance of the other poses.
+    fn suspect(&self, kept: &[usize]) -> Option<usize> {
+        let freedom = kept.len().checked_sub(self.parameters + 1).filter(|left| *left > 1)? as f64;
+        let variance = (self.squares - self.worst_square) / freedom;
+        let most = student::two_sided(SIGNIFICANCE / kept.len() as f64, freedom);
         // Rounding is not significant.
-        (self.square > 1e-12 && self.square > most * most * variance).then_some(self.place)
+        let is_outlier = self.worst_square > 1e-12 && self.worst_square > most * most * variance;
+        is_outlier.then(|| kept[self.worst])
     }
 }

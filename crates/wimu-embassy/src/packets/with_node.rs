@@ -36,7 +36,7 @@ impl Timer for Clock {
     }
 }
 
-struct NoSensor;
+pub(crate) struct NoSensor;
 
 fn plan(wanted: &Settings) -> Result<Plan, Settings> {
     wimu_node::Adxl345::<(), (), ()>::plan(wanted)
@@ -45,6 +45,7 @@ fn plan(wanted: &Settings) -> Result<Plan, Settings> {
 impl InertialSensor for NoSensor {
     type Sample = Counts;
     type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    const PART: Part = Part::new(0, "none");
 
     fn planner(&self) -> Self::Planner {
         plan
@@ -106,8 +107,8 @@ async fn until_hello(link: &PacketLink, most: usize) -> (Hello, usize) {
 #[test]
 fn each_host_that_connects_gets_a_hello_of_the_wireless_link_and_no_damaged_frame() {
     let (wireless, cable) = (PacketLink::new(), PacketLink::new());
-    let part = Part::default();
-    let identity = hello(7, "1.2.3", &Start::default(), Capabilities::STORE, part, part);
+    let (start, part) = (Start::default(), Part::default());
+    let identity = hello::<NoSensor>(7, "1.2.3", &start, Capabilities::STORE, part);
     let board = Board {
         hello: identity,
         sensor: NoSensor,

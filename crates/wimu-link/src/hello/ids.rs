@@ -4,20 +4,22 @@ use core::fmt;
 
 pub(super) const NAME_LENGTH: usize = 15;
 
-/// Numbers of boards in [`Hello::board`](super::Hello::board). Numbers are never reused; 0 is any other.
+/// Numbers of boards in [`Hello::board`](super::Hello::board). Numbers are never reused; 0 is any other; 6 was an nRF52840 DK.
 pub mod board {
     /// The simulated board.
     pub const SIMULATED: u16 = 1;
     /// BBC micro:bit v2.
     pub const MICROBIT_V2: u16 = 2;
-    /// Raspberry Pi Pico with an ADXL345.
-    pub const PICO_ADXL345: u16 = 3;
+    /// Raspberry Pi Pico or Pico 2.
+    pub const PICO: u16 = 3;
     /// QEMU's mps2-an386.
     pub const QEMU_MPS2: u16 = 4;
     /// STM32F411.
     pub const STM32F411: u16 = 5;
-    /// Nordic nRF52840 DK with Bluetooth Low Energy.
-    pub const NRF52840_BLE: u16 = 6;
+    /// Seeed XIAO nRF52840 Sense.
+    pub const XIAO_NRF52840: u16 = 7;
+    /// ESP32-C3.
+    pub const ESP32C3: u16 = 8;
 }
 
 /// Numbers of sensors in [`Hello::sensor`](super::Hello::sensor). Numbers are never reused; 0 is any other.
@@ -30,6 +32,12 @@ pub mod sensor {
     pub const REPLAY: u16 = 3;
     /// ST LSM6DSO.
     pub const LSM6DSO: u16 = 4;
+    /// ST LSM6DS3TR-C.
+    pub const LSM6DS3TR_C: u16 = 5;
+    /// InvenSense MPU-6050, MPU-6500 and MPU-9250, and parts that are sold as such.
+    pub const MPU6050: u16 = 6;
+    /// TDK ICM-42688-P.
+    pub const ICM42688: u16 = 7;
 
     /// The sensor's name.
     pub const fn name(number: u16) -> &'static str {
@@ -38,6 +46,9 @@ pub mod sensor {
             ADXL345 => "ADXL345",
             REPLAY => "of a recording",
             LSM6DSO => "LSM6DSO",
+            LSM6DS3TR_C => "LSM6DS3TR-C",
+            MPU6050 => "MPU-6050",
+            ICM42688 => "ICM-42688",
             _ => "unknown",
         }
     }
@@ -167,6 +178,8 @@ impl Capabilities {
     pub const AUTHENTICATION: Self = Self(1 << 10);
     /// The rate of its wireless link's serial line can be set.
     pub const LINE_RATES: Self = Self(1 << 11);
+    /// Samples are read at intervals of the device's timer: their times vary by half a sample period of the sensor.
+    pub const POLLED: Self = Self(1 << 12);
 
     /// Both sets.
     #[must_use]

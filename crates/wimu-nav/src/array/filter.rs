@@ -69,7 +69,7 @@ impl Alignment {
 #[derive(Clone, Debug)]
 pub struct ArrayFilter<const M: usize> {
     config: ArrayConfig,
-    array: Array<f64, M>,
+    array: Array<M>,
     blocks: RigidArrayBlocks,
     hidden: Block<3>,
     layout: Layout,
@@ -79,7 +79,7 @@ pub struct ArrayFilter<const M: usize> {
     align: Alignment,
     dropped: Dropped,
     /// The sample before and the variance of its specific force, for the first half of a step.
-    last: Option<(Linear<f64>, Noise)>,
+    last: Option<(Linear, Noise)>,
     /// Low-passed direction of the specific force: the effect of scale factors changes with it.
     direction: Vector3<f64>,
     /// Times since the last rest, the last velocity update, and since updates of a rest fail, s.
@@ -104,7 +104,7 @@ impl<const M: usize> ArrayFilter<M> {
     /// # Errors
     /// As [`Array::new`].
     pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
-        let array = Array::<f64, M>::new(geometry, config.range_mps2)?;
+        let array = Array::<M>::new(geometry, config.range_mps2)?;
         let mut layout = Layout::new([0.0; 3], 0.0, 0.0);
         let solver = array.solver();
         let lever = solver.rate_error(config.place_sd_m);
@@ -143,7 +143,7 @@ impl<const M: usize> ArrayFilter<M> {
     }
 
     /// The solver of the sensors that are in use now.
-    pub fn solver(&self) -> &ArraySolver<f64, M> {
+    pub fn solver(&self) -> &ArraySolver<M> {
         self.array.solver()
     }
 
@@ -181,7 +181,7 @@ impl<const M: usize> ArrayFilter<M> {
         if gap { Err(ArrayFault::Gap) } else { Ok(dropped) }
     }
 
-    fn take(&mut self, step: f64, output: &[f64; M], linear: &Linear<f64>) {
+    fn take(&mut self, step: f64, output: &[f64; M], linear: &Linear) {
         let [bias, _] = self.bias_variances();
         let solver = self.array.solver();
         let noise = self.level.excess.max(1.0);
@@ -216,7 +216,7 @@ impl<const M: usize> ArrayFilter<M> {
         self.begin_biases(false);
     }
 
-    fn predict(&mut self, step: f64, linear: &Linear<f64>, noise: &Noise) {
+    fn predict(&mut self, step: f64, linear: &Linear, noise: &Noise) {
         let [own, common] = self.bias_variances();
         let c = &self.config;
         let solver = self.array.solver();
@@ -249,7 +249,7 @@ impl<const M: usize> ArrayFilter<M> {
     }
 
     /// Velocity and position over the second half of a step.
-    fn integrate(&mut self, step: f64, linear: &Linear<f64>, noise: &Noise) {
+    fn integrate(&mut self, step: f64, linear: &Linear, noise: &Noise) {
         let solver = self.array.solver();
         let force = force(&self.config, &self.blocks, solver, step, linear, noise);
         for filter in self.mixture.iter_mut().flat_map(Mixture::filters_mut) {
@@ -260,7 +260,7 @@ impl<const M: usize> ArrayFilter<M> {
 
     /// Update of every hypothesis with every root of the sample that is within its reach. Where none fits, the rotation
     /// before the sample is not known.
-    fn update_rotation(&mut self, linear: &Linear<f64>, noise: &Noise) {
+    fn update_rotation(&mut self, linear: &Linear, noise: &Noise) {
         if self.update_with_roots(linear, noise, LOST) <= LOST {
             return;
         }
@@ -273,7 +273,7 @@ impl<const M: usize> ArrayFilter<M> {
     }
 
     /// Returns the normalised innovation squared of the most probable hypothesis.
-    fn update_with_roots(&mut self, linear: &Linear<f64>, noise: &Noise, limit: f64) -> f64 {
+    fn update_with_roots(&mut self, linear: &Linear, noise: &Noise, limit: f64) -> f64 {
         let Some(mixture) = &mut self.mixture else {
             return 0.0;
         };
@@ -332,7 +332,7 @@ impl<const M: usize> ArrayFilter<M> {
     }
 
     /// What is known now: equation (102).
-    pub fn state(&self) -> ArrayState<f64> {
+    pub fn state(&self) -> ArrayState {
         let Some(mixture) = &self.mixture else {
             return ArrayState::unknown();
         };
@@ -375,9 +375,9 @@ impl<const M: usize> ArrayFilter<M> {
 fn force<'a, const M: usize>(
     config: &ArrayConfig,
     blocks: &'a RigidArrayBlocks,
-    solver: &'a ArraySolver<f64, M>,
+    solver: &'a ArraySolver<M>,
     step: f64,
-    linear: &'a Linear<f64>,
+    linear: &'a Linear,
     noise: &Noise,
 ) -> ArrayForce<'a, M> {
     let own = config.force_noise_mps2 * config.force_noise_mps2;

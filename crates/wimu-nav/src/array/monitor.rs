@@ -2,7 +2,6 @@
 
 use super::geometry::{Geometry, GeometryError};
 use super::solver::{ArraySolver, Linear};
-use crate::Real;
 
 /// Samples after which an output that has not moved by one bit counts as stuck, while another
 /// sensor's has moved each time.
@@ -26,21 +25,21 @@ impl Dropped {
 
 /// A solver that leaves out sensors which are dead or saturated, and says so.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Array<R, const M: usize> {
+pub struct Array<const M: usize> {
     geometry: Geometry<M>,
-    range_mps2: R,
-    solver: ArraySolver<R, M>,
+    range_mps2: f64,
+    solver: ArraySolver<M>,
     dropped: u32,
-    last: [R; M],
+    last: [f64; M],
     unmoved: [u16; M],
 }
 
-impl<R: Real, const M: usize> Array<R, M> {
+impl<const M: usize> Array<M> {
     /// `range_mps2` is the output at which an axis saturates.
     ///
     /// # Errors
     /// As [`ArraySolver::new`]; [`GeometryError::TooMany`] for more than 32 sensors.
-    pub fn new(geometry: Geometry<M>, range_mps2: R) -> Result<Self, GeometryError> {
+    pub fn new(geometry: Geometry<M>, range_mps2: f64) -> Result<Self, GeometryError> {
         let sensors = geometry.axes().len() / geometry.group();
         if sensors > 32 {
             return Err(GeometryError::TooMany { have: sensors, most: 32 });
@@ -50,13 +49,13 @@ impl<R: Real, const M: usize> Array<R, M> {
             geometry,
             range_mps2,
             dropped: 0,
-            last: [R::default(); M],
+            last: [0.0; M],
             unmoved: [0; M],
         })
     }
 
     /// The solver of the sensors that are in use now.
-    pub fn solver(&self) -> &ArraySolver<R, M> {
+    pub fn solver(&self) -> &ArraySolver<M> {
         &self.solver
     }
 
@@ -65,7 +64,7 @@ impl<R: Real, const M: usize> Array<R, M> {
     ///
     /// # Errors
     /// What is missing, where the sensors left do not suffice.
-    pub fn reduce(&mut self, output_mps2: &[R; M]) -> Result<(Linear<R>, Dropped), GeometryError> {
+    pub fn reduce(&mut self, output_mps2: &[f64; M]) -> Result<(Linear, Dropped), GeometryError> {
         let dropped = self.judge(output_mps2);
         if dropped.all() != self.dropped {
             let mask = dropped.all();
@@ -76,13 +75,13 @@ impl<R: Real, const M: usize> Array<R, M> {
         let group = self.geometry.group();
         for (index, value) in clean.iter_mut().enumerate() {
             if self.dropped >> (index / group % 32) & 1 == 1 {
-                *value = R::default();
+                *value = 0.0;
             }
         }
         Ok((self.solver.reduce(&clean), dropped))
     }
 
-    fn judge(&mut self, output: &[R; M]) -> Dropped {
+    fn judge(&mut self, output: &[f64; M]) -> Dropped {
         let group = self.geometry.group();
         let used = self.geometry.axes().len();
         let mut dropped = Dropped::default();

@@ -4,7 +4,6 @@ use nalgebra::Vector3;
 
 use super::ArrayConfig;
 use super::solver::{ArraySolver, Linear};
-use crate::Real;
 
 /// Part of the sample's own excess residual in its noise; the rest is a mean over [`EXCESS_SAMPLES`] samples.
 const OWN_PART: f64 = 0.8;
@@ -55,16 +54,16 @@ impl<const M: usize> Level<M> {
     }
 
     /// Noise of a sample. `rate` is the angular rate, rad/s; `away` the specific force less its low-passed value, m/s².
-    pub fn push<R: Real>(
+    pub fn push(
         &mut self,
         config: &ArrayConfig,
-        solver: &ArraySolver<R, M>,
+        solver: &ArraySolver<M>,
         step: f64,
-        output: &[R; M],
-        linear: &Linear<R>,
+        output: &[f64; M],
+        linear: &Linear,
         [rate, away]: [Vector3<f64>; 2],
     ) -> Noise {
-        let variance = solver.variance_mps2().to_f64();
+        let variance = solver.variance_mps2();
         self.push_jerk(config.range_mps2, variance, step, output);
         let square = rate.norm_squared();
         let declared =
@@ -72,14 +71,14 @@ impl<const M: usize> Level<M> {
                 + config.scale * config.scale * away.norm_squared()
                 + config.delay_sd_s * config.delay_sd_s * self.jerk;
         // Without redundant sensors there is no excess residual: it is what was declared.
-        let own = solver.excess(output, linear).map(R::to_f64);
+        let own = solver.excess(output, linear);
         let own = own.unwrap_or(1.0 + declared / variance).min(1e9);
         let excess = OWN_PART * own + (1.0 - OWN_PART) * self.excess;
         self.excess += (own - self.excess) / EXCESS_SAMPLES;
         let factor = excess.max(1.0);
         let vibration = variance * (excess - EXCESS_OF_NOISE).max(0.0);
         let covariance = solver.covariance();
-        let seen = (0..3).map(|i| linear.theta[i].to_f64() * linear.theta[i].to_f64());
+        let seen = (0..3).map(|i| linear.theta[i] * linear.theta[i]);
         let noise = (0..3).map(|i| covariance[i][i]).sum::<f64>() * 2.0 * factor;
         let size = (seen.sum::<f64>() - noise).max(0.0) / 3.0;
         self.activity += (size - self.activity) * (step / ACTIVITY_S).min(1.0);
@@ -95,9 +94,8 @@ impl<const M: usize> Level<M> {
         }
     }
 
-    fn push_jerk<R: Real>(&mut self, range: f64, variance: f64, step: f64, output: &[R; M]) {
-        let output = output.map(R::to_f64);
-        let last = self.last.replace(output);
+    fn push_jerk(&mut self, range: f64, variance: f64, step: f64, output: &[f64; M]) {
+        let last = self.last.replace(*output);
         let Some(last) = last.filter(|_| step > 0.0) else {
             return;
         };

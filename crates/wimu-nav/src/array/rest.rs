@@ -5,7 +5,6 @@ use nalgebra::{SVector, Vector3};
 
 use super::ArrayConfig;
 use super::solver::{ArraySolver, Linear};
-use crate::Real;
 use crate::filter::chi_square_quantile;
 use crate::stationarity::{RestDetector, RestLimits};
 
@@ -29,7 +28,7 @@ pub(super) struct RestTest {
 }
 
 impl RestTest {
-    pub fn new<R: Real, const M: usize>(config: &ArrayConfig, solver: &ArraySolver<R, M>) -> Self {
+    pub fn new<const M: usize>(config: &ArrayConfig, solver: &ArraySolver<M>) -> Self {
         let noise = libm::sqrt(solver.covariance()[3][3]);
         let mut settings = RestLimits::default().without_gyroscope(noise);
         settings.gravity_mps2 = config.gravity_mps2;
@@ -59,17 +58,17 @@ impl RestTest {
 
     /// Takes a sample; whether the array is at rest. `bias` is the variance of the bias of an axis, `noise` that of a sample,
     /// both in units of what the geometry declares.
-    pub fn push<R: Real, const M: usize>(
+    pub fn push<const M: usize>(
         &mut self,
-        solver: &ArraySolver<R, M>,
-        linear: &Linear<R>,
+        solver: &ArraySolver<M>,
+        linear: &Linear,
         step: f64,
         [bias, noise]: [f64; 2],
     ) -> bool {
-        let force = Vector3::from_fn(|i, _| linear.theta[3 + i].to_f64());
+        let force = Vector3::from_fn(|i, _| linear.theta[3 + i]);
         let sample = Zeros::from_fn(|k, _| match k {
-            0..3 => linear.theta[k].to_f64(),
-            _ => linear.z[k - 3].to_f64(),
+            0..3 => linear.theta[k],
+            _ => linear.z[k - 3],
         });
         let still = self.detector.push(&force, None, step);
         self.follow(&force, step);

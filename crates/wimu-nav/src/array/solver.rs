@@ -7,8 +7,6 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 pub use roots::{Hypothesis, Solution};
 
 use super::geometry::{Axis, Geometry, GeometryError};
-use crate::Real;
-use crate::rotation::real;
 
 /// Least singular value against the largest, of the linear part with arms scaled to 1, below which
 /// a direction counts as not observed.
@@ -35,44 +33,44 @@ pub enum Roots {
 
 /// What is left of a sample: what the filter works on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Linear<R> {
+pub struct Linear {
     /// Combinations of the outputs in which only ω shows, of unit variance: equation (72).
-    pub z: [R; 6],
+    pub z: [f64; 6],
     /// ω̇ (rad/s²) and s (m/s²) as they would be without centripetal acceleration.
-    pub theta: [R; 6],
+    pub theta: [f64; 6],
 }
 
 /// A geometry worked out once, so that a sample costs 12 inner products and a few steps in three
 /// unknowns.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArraySolver<R, const M: usize> {
+pub struct ArraySolver<const M: usize> {
     /// Rows that make z of equation (72).
-    to_z: [[R; M]; 6],
+    to_z: [[f64; M]; 6],
     /// Rows that make θ of equation (71).
-    to_theta: [[R; M]; 6],
+    to_theta: [[f64; M]; 6],
     /// U of equation (72), of which `rank` rows count.
-    u: [[R; 6]; 6],
+    u: [[f64; 6]; 6],
     /// What centripetal acceleration adds to θ.
-    quadratic_theta: [[R; 6]; 6],
+    quadratic_theta: [[f64; 6]; 6],
     /// Least-norm inverse of U: the closed form of the start, equation (74).
-    u_inverse: [[R; 6]; 6],
+    u_inverse: [[f64; 6]; 6],
     theta_covariance: [[f64; 6]; 6],
     /// Rows of H, and 1/σ; 0 for axes that are left out.
-    rows: [[R; 6]; M],
-    weights: [R; M],
+    rows: [[f64; 6]; M],
+    weights: [f64; M],
     used: usize,
     rank: usize,
-    variance: R,
+    variance: f64,
     centre_m: [f64; 3],
     arm_m: f64,
 }
 
 /// Monomials of ω that centripetal acceleration is made of.
-fn monomials<R: Real>([x, y, z]: [R; 3]) -> [R; 6] {
+fn monomials([x, y, z]: [f64; 3]) -> [f64; 6] {
     [x * x, y * y, z * z, y * z, x * z, x * y]
 }
 
-impl<R: Real, const M: usize> ArraySolver<R, M> {
+impl<const M: usize> ArraySolver<M> {
     /// Works out a geometry.
     ///
     /// # Errors
@@ -136,17 +134,17 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         order.sort_unstable_by(|a, b| value(*b).total_cmp(&value(*a)));
         let size = quadratic.trace();
         let mut solver = Self {
-            to_z: [[R::default(); M]; 6],
-            to_theta: [[R::default(); M]; 6],
-            u: [[R::default(); 6]; 6],
-            quadratic_theta: [[R::default(); 6]; 6],
-            u_inverse: [[R::default(); 6]; 6],
+            to_z: [[0.0; M]; 6],
+            to_theta: [[0.0; M]; 6],
+            u: [[0.0; 6]; 6],
+            quadratic_theta: [[0.0; 6]; 6],
+            u_inverse: [[0.0; 6]; 6],
             theta_covariance: [[0.0; 6]; 6],
-            rows: [[R::default(); 6]; M],
-            weights: [R::default(); M],
+            rows: [[0.0; 6]; M],
+            weights: [0.0; M],
             used: have,
             rank: 0,
-            variance: real(variance),
+            variance: variance,
             arm_m: arm,
             centre_m: centre.into(),
         };
@@ -155,11 +153,11 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         for (index, axis) in axes() {
             let (h, k) = row(axis);
             let weight = 1.0 / axis.noise_mps2;
-            solver.weights[index] = real(weight);
+            solver.weights[index] = weight;
             let fit = inverse * h;
             for column in 0..6 {
-                solver.rows[index][column] = real(h[column] / (unit(column) * weight));
-                solver.to_theta[column][index] = real(fit[column] * unit(column) * weight);
+                solver.rows[index][column] = h[column] / (unit(column) * weight);
+                solver.to_theta[column][index] = fit[column] * unit(column) * weight;
             }
             let projected = k - quadratic_theta.tr_mul(&h);
             for (row, from) in order.into_iter().enumerate() {
@@ -168,7 +166,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
                     break;
                 }
                 let along = projected.dot(&eigen.eigenvectors.column(from));
-                solver.to_z[row][index] = real(along / libm::sqrt(lambda) * weight);
+                solver.to_z[row][index] = along / libm::sqrt(lambda) * weight;
             }
         }
         for (row, from) in order.into_iter().enumerate() {
@@ -180,14 +178,14 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             let root = libm::sqrt(lambda);
             for column in 0..6 {
                 let along = eigen.eigenvectors[(column, from)];
-                solver.u[row][column] = real(root * along * arm);
-                solver.u_inverse[column][row] = real(along / (root * arm));
+                solver.u[row][column] = root * along * arm;
+                solver.u_inverse[column][row] = along / (root * arm);
             }
         }
         for row in 0..6 {
             for column in 0..6 {
                 solver.quadratic_theta[row][column] =
-                    real(quadratic_theta[(row, column)] * unit(row) * arm);
+                    quadratic_theta[(row, column)] * unit(row) * arm;
                 solver.theta_covariance[row][column] =
                     inverse[(row, column)] * unit(row) * unit(column);
             }
@@ -221,7 +219,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     }
 
     /// Mean variance of the axes in use, (m/s²)².
-    pub fn variance_mps2(&self) -> R {
+    pub fn variance_mps2(&self) -> f64 {
         self.variance
     }
 
@@ -229,7 +227,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     /// equation (105).
     pub fn rate_error(&self, position_sd_m: f64) -> f64 {
         let arms = (0..3).map(|i| self.theta_covariance[i][i]).sum::<f64>() / 3.0;
-        position_sd_m * libm::sqrt(1.5 * arms / self.variance.to_f64())
+        position_sd_m * libm::sqrt(1.5 * arms / self.variance)
     }
 
     /// Root mean square distance of the sensors from their centre, m.
@@ -240,12 +238,12 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     /// Variance that the outputs show among themselves, in units of what was declared: what no
     /// motion of a rigid body explains, per degree of freedom, equation (76). `None` where motion
     /// can explain everything.
-    pub fn excess(&self, output_mps2: &[R; M], linear: &Linear<R>) -> Option<R> {
+    pub fn excess(&self, output_mps2: &[f64; M], linear: &Linear) -> Option<f64> {
         let free = self.used.checked_sub(6 + self.rank).filter(|n| *n > 0)?;
-        let mut sum = R::default();
+        let mut sum = 0.0;
         for index in 0..M {
             let weight = self.weights[index];
-            if weight <= R::default() {
+            if weight <= 0.0 {
                 continue;
             }
             let force = inner(&self.rows[index], &linear.theta);
@@ -256,11 +254,11 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             }
             sum += rest * rest;
         }
-        Some(sum / real(free as f64))
+        Some(sum / free as f64)
     }
 
     /// The linear part of the work, equations (71) and (72): all that a sample says.
-    pub fn reduce(&self, output_mps2: &[R; M]) -> Linear<R> {
+    pub fn reduce(&self, output_mps2: &[f64; M]) -> Linear {
         let mut linear = Linear::default();
         for row in 0..6 {
             linear.theta[row] = inner(&self.to_theta[row], output_mps2);
@@ -272,7 +270,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     }
 
     /// ω̇ (rad/s²) and s (m/s²) of a reduced sample at a known angular rate, equation (71).
-    pub fn theta(&self, linear: &Linear<R>, rate_rad_s: [R; 3]) -> [R; 6] {
+    pub fn theta(&self, linear: &Linear, rate_rad_s: [f64; 3]) -> [f64; 6] {
         let q = monomials(rate_rad_s);
         let mut theta = linear.theta;
         for row in 0..6 {
@@ -282,26 +280,26 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     }
 
     /// What z should be at `rate_rad_s`, and its derivatives.
-    pub fn expected_z(&self, rate_rad_s: [R; 3]) -> ([R; 6], [[R; 3]; 6]) {
+    pub fn expected_z(&self, rate_rad_s: [f64; 3]) -> ([f64; 6], [[f64; 3]; 6]) {
         let rows = self.u.iter().take(self.rank);
         at_rate(rows, rate_rad_s)
     }
 
     /// What centripetal acceleration at `rate_rad_s` adds to [`Linear::theta`], and its derivatives.
-    pub fn expected_theta(&self, rate_rad_s: [R; 3]) -> ([R; 6], [[R; 3]; 6]) {
+    pub fn expected_theta(&self, rate_rad_s: [f64; 3]) -> ([f64; 6], [[f64; 3]; 6]) {
         at_rate(self.quadratic_theta.iter(), rate_rad_s)
     }
 }
 
 /// Combinations of the monomials at `rate`, and their derivatives.
-fn at_rate<'a, R: Real + 'a>(
-    rows: impl Iterator<Item = &'a [R; 6]>,
-    rate: [R; 3],
-) -> ([R; 6], [[R; 3]; 6]) {
+fn at_rate<'a>(
+    rows: impl Iterator<Item = &'a [f64; 6]>,
+    rate: [f64; 3],
+) -> ([f64; 6], [[f64; 3]; 6]) {
     let q = monomials(rate);
     let [x, y, z] = rate;
-    let mut value = [R::default(); 6];
-    let mut slope = [[R::default(); 3]; 6];
+    let mut value = [0.0; 6];
+    let mut slope = [[0.0; 3]; 6];
     for ((u, value), slope) in rows.zip(&mut value).zip(&mut slope) {
         *value = inner(u, &q);
         *slope = [
@@ -363,8 +361,8 @@ fn checked_inverse(
     Err(GeometryError::NoTurn { about: about.into(), collinear })
 }
 
-fn inner<R: Real, const N: usize>(a: &[R; N], b: &[R; N]) -> R {
-    let mut sum = R::default();
+fn inner<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    let mut sum = 0.0;
     for (x, y) in a.iter().zip(b) {
         sum += *x * *y;
     }

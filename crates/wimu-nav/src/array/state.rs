@@ -3,7 +3,6 @@
 use core::fmt;
 
 use super::geometry::GeometryError;
-use crate::Real;
 use crate::navigator::Rests;
 
 /// How an array is used, and the errors of its sensors as standard deviations.
@@ -84,29 +83,29 @@ impl core::error::Error for ArrayFault {}
 
 /// What is known after a sample: mean and covariance of all hypotheses.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArrayState<R> {
+pub struct ArrayState {
     /// Angular rate ω, rad/s, body frame.
-    pub rate_rad_s: [R; 3],
+    pub rate_rad_s: [f64; 3],
     /// Its covariance, (rad/s)². It grows at rests that are not used: an array does not observe ω there.
-    pub rate_covariance: [[R; 3]; 3],
+    pub rate_covariance: [[f64; 3]; 3],
     /// Angular acceleration, rad/s², body frame.
-    pub angular_acceleration_rad_s2: [R; 3],
+    pub angular_acceleration_rad_s2: [f64; 3],
     /// Body to navigation frame (east-north-up; heading is that of the body at the start), W X Y Z.
-    pub quaternion: [R; 4],
+    pub quaternion: [f64; 4],
     /// Covariance of the attitude error about east, north and up, rad².
-    pub attitude_covariance: [[R; 3]; 3],
+    pub attitude_covariance: [[f64; 3]; 3],
     /// Velocity of the sensors' centre, m/s, navigation frame.
-    pub velocity_mps: [R; 3],
+    pub velocity_mps: [f64; 3],
     /// Its covariance, (m/s)².
-    pub velocity_covariance: [[R; 3]; 3],
+    pub velocity_covariance: [[f64; 3]; 3],
     /// Position of the sensors' centre, m, navigation frame.
-    pub position_m: [R; 3],
+    pub position_m: [f64; 3],
     /// Its covariance, m².
-    pub position_covariance: [[R; 3]; 3],
+    pub position_covariance: [[f64; 3]; 3],
     /// Probability of the most probable hypothesis: 1 where nothing is ambiguous, 0 before the alignment.
-    pub certainty: R,
+    pub certainty: f64,
     /// Time since the last rest that was used, or since the first sample, s.
-    pub since_rest_s: R,
+    pub since_rest_s: f64,
     /// Whether it is at rest now.
     pub resting: bool,
     /// False before the first alignment, and after a gap or a start in motion until the next rest, where the position
@@ -114,32 +113,32 @@ pub struct ArrayState<R> {
     pub valid: bool,
 }
 
-impl<R: Real> ArrayState<R> {
+impl ArrayState {
     /// Before the alignment: nothing is known.
     pub(super) fn unknown() -> Self {
-        let zero = [R::zero(); 3];
+        let zero = [0.0; 3];
         let none = [zero; 3];
         Self {
             rate_rad_s: zero,
-            rate_covariance: [[R::one() / R::zero(); 3]; 3],
+            rate_covariance: [[1.0 / 0.0; 3]; 3],
             angular_acceleration_rad_s2: zero,
-            quaternion: [R::one(), R::zero(), R::zero(), R::zero()],
+            quaternion: [1.0, 0.0, 0.0, 0.0],
             attitude_covariance: none,
             velocity_mps: zero,
             velocity_covariance: none,
             position_m: zero,
             position_covariance: none,
-            certainty: R::zero(),
-            since_rest_s: R::zero(),
+            certainty: 0.0,
+            since_rest_s: 0.0,
             resting: false,
             valid: false,
         }
     }
 
     /// Standard deviation of the position in space, m.
-    pub fn position_sd_m(&self) -> R {
+    pub fn position_sd_m(&self) -> f64 {
         let p = &self.position_covariance;
-        (p[0][0] + p[1][1] + p[2][2]).abs().sqrt()
+        libm::sqrt((p[0][0] + p[1][1] + p[2][2]).abs())
     }
 
     pub(super) fn is_finite(&self) -> bool {

@@ -73,8 +73,6 @@ pub struct Vehicle {
     failing_s: f64,
     reverse: bool,
     turns: u32,
-    slips: u32,
-    speeds: u32,
 }
 
 impl Vehicle {
@@ -98,8 +96,6 @@ impl Vehicle {
             failing_s: 0.0,
             reverse: false,
             turns: 0,
-            slips: 0,
-            speeds: 0,
         }
     }
 
@@ -126,11 +122,6 @@ impl Vehicle {
     /// Times at which the forward axis changed: the unit was turned in its mount.
     pub fn turns(&self) -> u32 {
         self.turns
-    }
-
-    /// Speeds of the odometer that failed their test, and all that were tested.
-    pub fn slips(&self) -> (u32, u32) {
-        (self.slips, self.speeds)
     }
 
     /// A fix by an antenna of the vehicle.
@@ -228,9 +219,6 @@ impl Vehicle {
             deviation_mps: libm::sqrt(noise),
             rate_rad_s: self.rate,
         };
-        let innovation = filter.update(&odometer, Gate::ChiSquare);
-        self.speeds += 1;
-        self.slips += u32::from(!innovation.accepted);
-        Some(innovation)
+        Some(filter.update(&odometer, Gate::ChiSquare))
     }
 }

@@ -58,7 +58,7 @@ pub struct RigidArray<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<f64, M>,
+    pub solver: &'a ArraySolver<M>,
     /// Density of the noise of the angular acceleration, (rad/s²)²/s.
     pub acceleration_walk: f64,
     /// Density of the noise of the angular rate, (rad/s)²/s.
@@ -137,9 +137,9 @@ pub struct ArrayForce<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<f64, M>,
+    pub solver: &'a ArraySolver<M>,
     /// The sample.
-    pub linear: &'a Linear<f64>,
+    pub linear: &'a Linear,
     /// Gravity, m/s².
     pub gravity_mps2: f64,
     /// Variance of the sample in units of what the geometry declares.

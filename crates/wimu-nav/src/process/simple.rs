@@ -30,18 +30,18 @@ impl<const W: usize> Process for GaussMarkov<W> {
     }
 }
 
-/// A step of a random walk: a bias with three components. For other blocks: [`Transition::add_noise`].
+/// A step of a random walk, such as that of a bias.
 #[derive(Clone, Copy, Debug)]
-pub struct RandomWalk {
+pub struct RandomWalk<const W: usize = 3> {
     /// Its states.
-    pub block: Block<3>,
+    pub block: Block<W>,
     /// Density of the noise, unit of the states/√s.
     pub density: f64,
     /// Length of the step, s.
     pub step_s: f64,
 }
 
-impl Process for RandomWalk {
+impl<const W: usize> Process for RandomWalk<W> {
     fn propagate(&self, _: &mut State, transition: &mut Transition) {
         transition.add_noise(self.block, self.density * self.density * self.step_s);
     }

@@ -38,9 +38,9 @@ pub struct ReducedArray<'a, const M: usize> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<f64, M>,
+    pub solver: &'a ArraySolver<M>,
     /// The sample.
-    pub linear: &'a Linear<f64>,
+    pub linear: &'a Linear,
     /// Its noise.
     pub noise: ArrayNoise,
     /// Angular rate at which it is linearised, rad/s, body frame.

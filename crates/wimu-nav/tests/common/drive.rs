@@ -120,6 +120,6 @@ pub fn push(
             deviation_m: Vector3::repeat(FIX_M),
             lever_arm_m: Vector3::zeros(),
         };
-        navigator.fix(fix, 0.0, Gate::ChiSquare);
+        navigator.fix(fix, [0.0; 2], Gate::ChiSquare);
     }
 }

@@ -8,13 +8,13 @@ use super::sensor::Kind;
 use super::{AxisNoise, Figure, NoiseReport, SensorNoise};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::significant;
-use crate::html::{Report, ToDocument};
+use crate::document::{Document, ToDocument};
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 
 impl ToDocument for NoiseReport {
-    fn document(&self) -> Report {
-        let mut document = Report::new(format!("Noise of {}", self.source));
+    fn document(&self) -> Document {
+        let mut document = Document::new(format!("Noise of {}", self.source));
         let seconds = self.samples as f64 / self.rate_hz;
         let [seconds, rate] = [seconds, self.rate_hz].map(|value| significant(value, 4));
         document.result(&format!("{}: {seconds} s at rest, {rate} Hz", self.source));
@@ -40,14 +40,13 @@ impl NoiseReport {
 
 impl SensorNoise {
     /// The noise terms of each axis.
-    fn terms(&self, document: &mut Report) {
-        let Kind { density, white, walk, bias, drift, .. } = self.kind;
+    fn terms(&self, document: &mut Document) {
+        let Kind { density, white, walk, bias, .. } = self.kind;
         let columns = [
             ("noise density", density),
             (white.0, &white.1),
             ("bias instability", bias),
             (walk.0, &walk.1),
-            ("drift", drift),
         ];
         let head = columns.map(|(name, unit)| format!("{name}, {}", unit.name));
         let mut head: Vec<&str> = head.iter().map(String::as_str).collect();
@@ -64,7 +63,6 @@ impl SensorNoise {
                 cell(Some(axis.random_walk), 1),
                 axis.bias_instability.map_or(floor, |found| bias.text(found)),
                 cell(axis.bias_random_walk, 3),
-                cell(axis.drift, 4),
             ]
         });
         let name = format!("Noise of the {} (density one-sided)", self.kind.name);
@@ -72,7 +70,7 @@ impl SensorNoise {
     }
 
     /// The Allan deviation as a table.
-    fn curve(&self, document: &mut Report) {
+    fn curve(&self, document: &mut Document) {
         let unit = &self.kind.deviation;
         let rows = self.points.iter().map(|point| {
             let [x, y, z] = point.deviation.map(|d| significant(d * unit.per_si, 4));

@@ -4,6 +4,7 @@ use serde::Serialize;
 use wimu_calib::{AllanPoint, AllanVariance, Measured, Refusal};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
+use crate::digits::significant;
 use crate::{Code, Problem};
 
 /// A number and its standard deviation, 1 σ.
@@ -38,19 +39,13 @@ pub struct AxisNoise {
     pub bias_instability: Option<Figure>,
     /// Acceleration or rate random walk, u/√s, where it is observed.
     pub bias_random_walk: Option<Figure>,
-    /// Linear drift, u/s, where it is observed.
-    pub drift: Option<Figure>,
-    /// Whether bias instability and random walk are left out because a single event, not noise, dominates long times.
-    pub is_one_event: bool,
-    /// Quantisation noise, u s, where it is observed.
-    pub quantisation: Option<Figure>,
     /// Smallest Allan deviation, u.
     pub floor: f64,
     /// Averaging time of the smallest deviation, s.
     pub floor_tau_s: f64,
     /// χ² per degree of freedom of the curve's residuals under the noise terms; 1 for noise.
     pub misfit: f64,
-    /// False where hum or vibration is present.
+    /// False where hum, vibration or a drift is present.
     pub is_noise: bool,
     /// Averaging time from which a filtered output is white, s; the terms are estimated from there. `None` where it is not
     /// filtered.
@@ -116,8 +111,8 @@ pub(super) struct Kind {
     pub name: &'static str,
     /// u.
     pub si: &'static str,
-    /// Of noise density, random walk, random walk of the bias, drift and quantisation.
-    si_terms: [&'static str; 5],
+    /// Of noise density, random walk and random walk of the bias.
+    si_terms: [&'static str; 3],
     /// Before the name of an axis.
     prefix: &'static str,
     pub density: Unit,
@@ -125,7 +120,6 @@ pub(super) struct Kind {
     pub white: (&'static str, Unit),
     pub walk: (&'static str, Unit),
     pub bias: Unit,
-    pub drift: Unit,
     pub deviation: Unit,
 }
 
@@ -136,26 +130,24 @@ const DEG: f64 = 180.0 / std::f64::consts::PI;
 pub(super) static ACCELEROMETER: Kind = Kind {
     name: "accelerometer",
     si: "m/s²",
-    si_terms: ["m/s²/√Hz", "m/s/√s", "m/s²/√s", "m/s³", "m/s"],
+    si_terms: ["m/s²/√Hz", "m/s/√s", "m/s²/√s"],
     prefix: "",
     density: Unit::new("µg/√Hz", UG, 1),
     white: ("velocity random walk", Unit::new("mm/s/√s", 1e3, 3)),
     walk: ("acceleration random walk", Unit::new("µg/√s", UG, 2)),
     bias: Unit::new("µg", UG, 1),
-    drift: Unit::new("µg/min", 60.0 * UG, 1),
     deviation: Unit::new("mm/s²", 1e3, 4),
 };
 
 pub(super) static GYROSCOPE: Kind = Kind {
     name: "gyroscope",
     si: "rad/s",
-    si_terms: ["rad/s/√Hz", "rad/√s", "rad/s/√s", "rad/s²", "rad"],
+    si_terms: ["rad/s/√Hz", "rad/√s", "rad/s/√s"],
     prefix: "gyroscope ",
     density: Unit::new("°/s/√Hz", DEG, 5),
     white: ("angle random walk", Unit::new("°/√h", 60.0 * DEG, 3)),
     walk: ("rate random walk", Unit::new("°/s/√s", DEG, 6)),
     bias: Unit::new("°/h", 3600.0 * DEG, 2),
-    drift: Unit::new("°/h/min", 216_000.0 * DEG, 2),
     deviation: Unit::new("°/s", DEG, 5),
 };
 
@@ -172,7 +164,7 @@ pub struct SensorNoise {
 
 impl SensorNoise {
     pub(super) fn of(allan: &AllanVariance, kind: &'static Kind) -> Result<Self, Refusal> {
-        let [density, white, walk, drift, quantisation] = kind.si_terms;
+        let [density, white, walk] = kind.si_terms;
         let figure =
             |measured: Option<Measured>, unit| measured.map(|measured| Figure::new(measured, unit));
         let axes = allan.result()?.map(|axis| AxisNoise {
@@ -180,9 +172,6 @@ impl SensorNoise {
             random_walk: Figure::new(axis.velocity_random_walk, white),
             bias_instability: figure(axis.bias_instability_mps2, kind.si),
             bias_random_walk: figure(axis.acceleration_random_walk, walk),
-            drift: figure(axis.ramp_mps3, drift),
-            is_one_event: axis.is_one_event,
-            quantisation: figure(axis.quantisation_mps, quantisation),
             floor: axis.floor_mps2,
             floor_tau_s: axis.floor_tau_s,
             misfit: axis.misfit,
@@ -209,41 +198,33 @@ impl AxisNoise {
         let mut problems = Vec::new();
         if self.is_coarse {
             let text = format!(
-                "{name}: one step of the output, {:.2} {}, is {:.1} times its noise: the figures are those of the \
-                 quantisation",
-                self.step * deviation.per_si,
+                "{name}: the quantisation step, {} {}, is {} times the noise: the noise terms are those of the quantisation",
+                significant(self.step * deviation.per_si, 3),
                 deviation.name,
-                self.step / self.sample_sd
+                significant(self.step / self.sample_sd, 3)
             );
             let problem = Code::Quantisation.warning(text);
             problems.push(problem.remedy("choose a smaller range or a higher resolution"));
         } else if !self.is_noise {
-            problems.push(Code::NotNoise.warning(format!(
-                "{name}: not noise alone (χ² {:.0} times too large): hum or vibration; the numbers are rough, see the curve",
-                self.misfit
-            )));
+            let problem = Code::NotNoise.warning(format!(
+                "{name}: vibration or drift beside the noise: χ² per degree of freedom is {} (1 for noise)",
+                significant(self.misfit, 3)
+            ));
+            problems.push(problem.remedy("record again with a warm sensor on a firm floor"));
         }
         if let Some(tau_s) = self.white_from_s {
             problems.push(Code::NotNoise.note(format!(
-                "{name}: the output is filtered, or samples repeat: it is white noise from averaging times of {tau_s:.3} s \
-                 on, and the figures are from there"
+                "{name}: low-pass filtered or repeated samples: the noise terms are fitted from {} s on",
+                significant(tau_s, 3)
             )));
         }
         if self.clipped_samples > 0 {
             let text = format!(
-                "{name}: {} samples are clipped at the end of the output: the noise is larger than these figures",
+                "{name}: {} samples are clipped: the noise is larger",
                 self.clipped_samples
             );
             let remedy = "choose a larger range or rotate the axis away from its end";
             problems.push(Code::Saturated.warning(text).remedy(remedy));
-        }
-        if self.is_one_event {
-            let problem = Code::NotNoise.warning(format!(
-                "{name}: a single event (warm-up or a jump) dominates long times: bias instability and random walk are left \
-                 out"
-            ));
-            let remedy = "record again with a warm sensor that is not disturbed";
-            problems.push(problem.remedy(remedy));
         }
         problems
     }

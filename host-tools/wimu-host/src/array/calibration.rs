@@ -12,7 +12,7 @@ use super::outputs::{
     steady_stretches,
 };
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
-use super::{ArrayGeometry, ArrayRecording};
+use super::{Array, ArrayGeometry};
 use crate::{Code, Problem, Result};
 
 /// Noise that is assumed where there is no rest to see it, m/s².
@@ -104,16 +104,12 @@ impl ArrayCalibration {
     /// they agree with each other as at every other rest. Biases and matrices of all sensors are fitted to one
     /// gravity vector per rest ([`wimu_calib::array`]). A sensor that is dead, or that contradicts the others, is left
     /// out; one that fails on the way counts as long as it lives. Where the geometry has error models,
-    /// [`ArrayRecording::arranged`] has applied them, and the fit finds what they leave.
+    /// [`Array::arranged`] has applied them, and the fit finds what they leave.
     ///
     /// # Errors
     /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
     /// another number of sensors, or more than 16.
-    pub fn of(
-        recording: &ArrayRecording,
-        geometry: &ArrayGeometry,
-        gravity: Gravity,
-    ) -> Result<Self> {
+    pub fn of(recording: &Array, geometry: &ArrayGeometry, gravity: Gravity) -> Result<Self> {
         check(recording, geometry)?;
         let sensors = recording.sensors();
         let dead: Vec<usize> = (0..sensors).filter(|s| is_dead(recording, *s)).collect();
@@ -216,7 +212,7 @@ impl ArrayCalibration {
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
     fn fit(
         &mut self,
-        recording: &ArrayRecording,
+        recording: &Array,
         geometry: &ArrayGeometry,
         outputs: &AtRests,
     ) -> Result<()> {
@@ -322,7 +318,7 @@ impl ArrayCalibration {
     }
 
     /// Mean length of the mean output at the rests, m/s².
-    pub fn mean_rest_mps2(&self, recording: &ArrayRecording) -> f64 {
+    pub fn mean_rest_mps2(&self, recording: &Array) -> f64 {
         let mean = |span: &Span, sensor: usize| Some(moments(recording, sensor, *span)?.0);
         let sensors = recording.sensors();
         let of_rest = |span: &Span| (0..sensors).map(|sensor| mean(span, sensor)).collect();
@@ -414,10 +410,10 @@ impl ArrayCalibration {
     pub(super) fn force_since(
         &self,
         sensor: usize,
-        output_mps2: [f64; 3],
+        output_mps2: Vector3<f64>,
         rest: usize,
     ) -> [f64; 3] {
-        (self.model_force(sensor, output_mps2.into()) - self.offsets[rest][sensor]).into()
+        (self.model_force(sensor, output_mps2) - self.offsets[rest][sensor]).into()
     }
 }
 

@@ -6,7 +6,7 @@ use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, check, refused, with_room};
-use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use super::{Array, ArrayCalibration, ArrayGeometry};
 use crate::{Code, Problem, Result};
 
 /// Samples in motion that are used, about.
@@ -126,7 +126,7 @@ pub(super) struct Fitted {
 impl Fitted {
     /// Fits rests and motion of a recording in body axes.
     pub fn of(
-        recording: &ArrayRecording,
+        recording: &Array,
         geometry: &ArrayGeometry,
         calibration: &ArrayCalibration,
         prior: &ArrayPrior,
@@ -210,28 +210,28 @@ fn solved<const M: usize>(
     Ok(Fitted::new(&found, sensors, used))
 }
 
-fn row<const M: usize>(recording: &ArrayRecording, index: usize) -> [f64; M] {
+fn row<const M: usize>(recording: &Array, index: usize) -> [f64; M] {
     let mut row = [f64::NAN; M];
     for sensor in (0..recording.sensors()).filter(|sensor| recording.has(index, *sensor)) {
-        row[3 * sensor..3 * sensor + 3].copy_from_slice(&recording.outputs[index][sensor]);
+        row[3 * sensor..3 * sensor + 3].copy_from_slice(recording.output(index, sensor).as_slice());
     }
     row
 }
 
 fn in_motion<const M: usize>(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     prior: &ArrayPrior,
 ) -> Result<Fitted> {
     let used = |sensor: usize| calibration.uses(sensor);
     let axes = axes::<M>(geometry, calibration)?;
-    let rank = ArraySolver::<f64, M>::of(&axes, used).map_err(refused)?.rank();
-    let count = recording.times_s.len();
+    let rank = ArraySolver::<M>::of(&axes, used).map_err(refused)?.rank();
+    let (times_s, count) = (recording.times_s(), recording.len());
     let rests: usize = calibration.rests.iter().map(|(_, count)| count).sum();
     let outputs: Vec<[f64; M]> = (0..count).map(|index| row(recording, index)).collect();
     let data = ArrayData {
-        times_s: &recording.times_s,
+        times_s: &times_s,
         outputs_mps2: &outputs,
         rests: &calibration.rests,
         period_s: recording.period_s(),
@@ -243,18 +243,19 @@ fn in_motion<const M: usize>(
 
 /// Fits biases and matrices to the rests alone.
 pub(super) fn at_rests<const M: usize>(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     prior: &ArrayPrior,
 ) -> Result<Fitted> {
     let used = |sensor: usize| calibration.uses(sensor);
     let axes = axes::<M>(geometry, calibration)?;
+    let all_s = recording.times_s();
     let (mut times_s, mut outputs, mut rests) = (Vec::new(), Vec::new(), Vec::new());
     for (first, count) in &calibration.rests {
         rests.push((outputs.len(), *count));
         outputs.extend((*first..first + count).map(|index| row::<M>(recording, index)));
-        times_s.extend_from_slice(&recording.times_s[*first..first + count]);
+        times_s.extend_from_slice(&all_s[*first..first + count]);
     }
     let data = ArrayData {
         times_s: &times_s,
@@ -305,13 +306,13 @@ impl Refinement {
 }
 
 /// Estimates the positions of the axes of an array and the delays of its sensors, with their biases and matrices;
-/// `recording` is in body axes by `geometry` ([`ArrayRecording::arranged`]). Shift, rotation and size of the whole keep
+/// `recording` is in body axes by `geometry` ([`Array::arranged`]). Shift, rotation and size of the whole keep
 /// their prior. The estimates are accepted where they reduce the residual by more than their number explains.
 ///
 /// # Errors
 /// `data_refused`: fewer than 200 samples in motion, or an array in a plane; those of the angular rate of the array.
 pub fn refine(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     options: &RefineOptions,

@@ -7,6 +7,7 @@ use wimu_model::ErrorModel;
 use wimu_nav::array::{Geometry, GeometryError};
 
 use crate::calibration::{Calibration, Correction};
+use crate::formats::table::{LENGTH, MeasuredColumn, Measurements};
 use crate::navigation::distance_m;
 use crate::{Code, OutputFile, Problem, Result};
 
@@ -170,7 +171,7 @@ impl ArrayGeometry {
         }
         let text = std::fs::read_to_string(path).map_err(|e| Problem::file(&name, "read", &e))?;
         if !text.trim_start().starts_with('{') {
-            let geometry = Self::at(&places(&text, &name)?);
+            let geometry = Self::at(&places(&Measurements::of(&name, &text)?)?);
             let span = geometry.span_m();
             if span > Self::LARGE_M {
                 return Err(Code::BadCalibration.error(format!("its places are up to {span:.1} m apart: are they in mm?"),
@@ -241,53 +242,29 @@ impl ArrayGeometry {
     }
 }
 
-fn places(text: &str, name: &str) -> Result<Vec<[f64; 3]>> {
-    let rows: Vec<(usize, Vec<&str>)> = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| !line.trim().is_empty())
-        .map(|(number, line)| (number + 1, line.split(',').map(str::trim).collect()))
-        .collect();
-    let number = |row: &(usize, Vec<&str>), column: usize| {
-        let text = row.1.get(column).copied().unwrap_or("");
-        text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
-            Code::CsvBadNumber
-                .error(format!("`{text}` is not a finite number"), "give places in m")
-                .at(format!("{name} line {}", row.0))
-        })
+/// Places of a table: three rows `x`, `y`, `z` with a column for each sensor, in m, or a row for each sensor.
+fn places(table: &Measurements) -> Result<Vec<[f64; 3]>> {
+    let place = |at: [(usize, MeasuredColumn); 3]| -> Result<[f64; 3]> {
+        let [x, y, z] = at.map(|(row, column)| {
+            let value = table.value(row, column)?;
+            value.ok_or_else(|| table.empty("a place is incomplete", "give places in m"))
+        });
+        Ok([x?, y?, z?])
     };
-    let missing =
-        || {
-            Code::CsvMissingColumn.error("it does not say where the sensors are",
-            "write a line `X (m),Y (m),Z (m)` and a line with three numbers for each sensor",
-        )
-        .at(name)
-        };
-    let head = rows.first().ok_or_else(missing)?;
-    let row_of = |axis: &str| {
-        rows.iter().find(|(_, row)| row.first().is_some_and(|f| f.eq_ignore_ascii_case(axis)))
-    };
-    if let (Some(x), Some(y), Some(z)) = (row_of("x"), row_of("y"), row_of("z")) {
-        return (1..head.1.len())
-            .map(|sensor| Ok([number(x, sensor)?, number(y, sensor)?, number(z, sensor)?]))
-            .collect();
+    let row_of =
+        |axis: &str| (0..table.len()).find(|row| table.text(*row, 0).eq_ignore_ascii_case(axis));
+    if let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(row_of) {
+        let columns = (1..table.header.len()).map(|column| MeasuredColumn::of_si(column));
+        return columns.map(|column| place([x, y, z].map(|row| (row, column)))).collect();
     }
-    let columns = |unit: &str| {
-        let find = |axis: &str| {
-            let name = format!("{axis} ({unit})");
-            head.1.iter().position(|field| field.eq_ignore_ascii_case(&name))
-        };
-        Some([find("X")?, find("Y")?, find("Z")?])
+    let [Some(x), Some(y), Some(z)] = ["X", "Y", "Z"].map(|axis| table.column(&[axis], LENGTH))
+    else {
+        let remedy =
+            "write a line `X (m),Y (m),Z (m)` and a line with three numbers for each sensor";
+        let error = Code::CsvMissingColumn.error("it does not say where the sensors are", remedy);
+        return Err(error.at(&table.name));
     };
-    let (unit, [x, y, z]) = match (columns("m"), columns("mm")) {
-        (Some(columns), _) => (1.0, columns),
-        (None, Some(columns)) => (1e-3, columns),
-        (None, None) => return Err(missing()),
-    };
-    rows.iter()
-        .skip(1)
-        .map(|row| Ok([number(row, x)?, number(row, y)?, number(row, z)?].map(|v| v * unit)))
-        .collect()
+    (0..table.len()).map(|row| place([x, y, z].map(|column| (row, column)))).collect()
 }
 
 /// The geometry of a name such as `four:30mm`, `octahedron:0.03m` or `board:9.5mm,2mm`; `None` where it is no name of one.

@@ -1,10 +1,10 @@
 //! Faults of the sensors of an array: stopped outputs, and outputs at the end of their range.
 
+use nalgebra::Vector3;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::ArrayRecording;
-use crate::plural::counted;
-use crate::series::Ns;
+use super::Array;
+use crate::series::Flags;
 
 /// Shortest constant output of a stopped sensor while most others change in each sample, samples.
 const STOPPED_SAMPLES: usize = 64;
@@ -24,7 +24,7 @@ fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
 }
 
-impl ArrayRecording {
+impl Array {
     /// Leaves out the constant outputs of stopped sensors. Marks samples at the end of the range: the largest output, if it is
     /// more frequent than those just below it. Remarks report each.
     #[must_use]
@@ -34,32 +34,9 @@ impl ArrayRecording {
         self
     }
 
-    /// Remarks which sensors give no number, and where.
-    pub(super) fn report_absent(&mut self) {
-        let is_absent =
-            |row: &&Vec<[f64; 3]>, sensor: usize| row[sensor].iter().any(|v| !v.is_finite());
-        let mut places = Vec::new();
-        for sensor in 0..self.sensors() {
-            let absent = self.outputs.iter().filter(|row| is_absent(row, sensor)).count();
-            let Some(first) = self.outputs.iter().position(|row| is_absent(&row, sensor)) else {
-                continue;
-            };
-            let at_s = Ns(self.start_ns).s() + self.times_s[first];
-            places.push(if self.outputs.len() - first == absent {
-                format!("sensor {sensor} (from 0) from {at_s:.2} s on")
-            } else {
-                let samples = counted(absent, "sample");
-                format!("{samples} of sensor {sensor} (from 0), first at {at_s:.2} s")
-            });
-        }
-        if !places.is_empty() {
-            self.remarks.push(format!("no number, left out there: {}", places.join("; ")));
-        }
-    }
-
     fn leave_out_stopped(&mut self) {
-        let (sensors, count) = (self.sensors(), self.outputs.len());
-        let value = |k: usize, axis: usize| self.outputs[k][axis / 3][axis % 3];
+        let (sensors, count) = (self.sensors(), self.len());
+        let value = |k: usize, axis: usize| self.units[axis / 3].force.v[k][axis % 3];
         // Samples up to each in which most outputs have moved.
         let mut lively = vec![0_usize; count];
         for k in 1..count {
@@ -88,20 +65,19 @@ impl ArrayRecording {
         }
         for (axis, first, end) in stopped {
             let sensor = axis / 3;
-            let at = self.outputs[first][sensor][axis % 3];
+            let force = &mut self.units[sensor].force;
+            let at = force.v[first][axis % 3];
             // Its other axes may have been found before it.
             if end - first < count && at.is_finite() {
                 self.remarks.push(format!(
                     "sensor {sensor} (from 0) stood still from {:.2} to {:.2} s: its {} axis gave {at:.3} m/s² \
                      each time; left out there",
-                    Ns(self.start_ns).s() + self.times_s[first],
-                    Ns(self.start_ns).s() + self.times_s[end - 1],
+                    force.t[first].s(),
+                    force.t[end - 1].s(),
                     ["X", "Y", "Z"][axis % 3]
                 ));
             }
-            for row in &mut self.outputs[first..end] {
-                row[sensor] = [f64::NAN; 3];
-            }
+            force.v[first..end].fill(Vector3::repeat(f64::NAN));
         }
     }
 
@@ -112,7 +88,8 @@ impl ArrayRecording {
             for axis in 0..3 {
                 for sign in [-1.0, 1.0] {
                     let values = || {
-                        let all = self.outputs.iter().map(|row| sign * row[sensor][axis]);
+                        let all =
+                            self.units[sensor].force.v.iter().map(|output| sign * output[axis]);
                         all.filter(|v| v.is_finite())
                     };
                     let largest = values().fold(f64::NEG_INFINITY, f64::max);
@@ -131,15 +108,16 @@ impl ArrayRecording {
         let shown: Vec<f64> = found.iter().map(|(.., v)| v.abs()).collect();
         rest.retain(|(.., v)| shown.iter().any(|limit| same(v.abs(), *limit)));
         found.extend(rest);
-        let mut marked = 0;
-        for (row, bits) in self.outputs.iter().zip(&mut self.saturated) {
-            let before = *bits;
-            for (sensor, axis, limit) in &found {
-                let beyond = row[*sensor][*axis] * limit.signum() >= limit.abs() * (1.0 - 1e-9);
-                *bits |= u32::from(beyond) << sensor;
+        let mut marked = vec![false; self.len()];
+        for (sensor, axis, limit) in &found {
+            let force = &mut self.units[*sensor].force;
+            for ((output, flags), marked) in force.v.iter().zip(&mut force.flags).zip(&mut marked) {
+                let is_beyond = output[*axis] * limit.signum() >= limit.abs() * (1.0 - 1e-9);
+                *marked |= is_beyond && !flags.is_saturated();
+                *flags |= Flags::saturated(is_beyond);
             }
-            marked += usize::from(*bits != before);
         }
+        let marked = marked.iter().filter(|is_marked| **is_marked).count();
         if marked > 0 {
             let mut sensors: Vec<usize> = found.iter().map(|(sensor, ..)| *sensor).collect();
             sensors.sort_unstable();

@@ -5,7 +5,7 @@ use wimu_nav::array::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Axis, Ge
 
 use super::calibration::BIAS_MPS2;
 use super::fit::{Agreement, Fitted};
-use super::{ArrayCalibration, ArrayGeometry, ArrayRecording};
+use super::{Array, ArrayCalibration, ArrayGeometry};
 use crate::inertial::Zupt;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
@@ -30,11 +30,11 @@ macro_rules! with_room {
 }
 pub(super) use with_room;
 
-/// A recording of an array in body axes ([`ArrayRecording::arranged`]) with its geometry and calibration, fitted to the motion of
+/// A recording of an array in body axes ([`Array::arranged`]) with its geometry and calibration, fitted to the motion of
 /// one rigid body: equation (99).
 #[derive(Debug)]
 pub struct ArrayBody<'a> {
-    recording: &'a ArrayRecording,
+    recording: &'a Array,
     geometry: &'a ArrayGeometry,
     calibration: &'a ArrayCalibration,
     agreement: Option<Agreement>,
@@ -49,7 +49,7 @@ impl<'a> ArrayBody<'a> {
     /// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
     /// shows no angular rate.
     pub fn of(
-        recording: &'a ArrayRecording,
+        recording: &'a Array,
         geometry: &'a ArrayGeometry,
         calibration: &'a ArrayCalibration,
     ) -> Result<Self> {
@@ -77,7 +77,7 @@ impl<'a> ArrayBody<'a> {
         &self,
         gravity_mps2: f64,
         zupt: Zupt,
-    ) -> Result<(Vec<ArrayState<f64>>, Vec<String>)> {
+    ) -> Result<(Vec<ArrayState>, Vec<String>)> {
         let sensors = self.geometry.sensors.len();
         let pass = with_room!(sensors, filtered(self, gravity_mps2, zupt, false))?;
         let remarks = pass.remarks(zupt, self.calibration);
@@ -92,7 +92,7 @@ impl<'a> ArrayBody<'a> {
     /// Those of [`navigated`](Self::navigated).
     pub fn smooth_rates(
         &self,
-        states: &mut [ArrayState<f64>],
+        states: &mut [ArrayState],
         gravity_mps2: f64,
         zupt: Zupt,
     ) -> Result<()> {
@@ -123,7 +123,7 @@ fn intersection(a: Rate, b: Rate) -> Rate {
     covariance.map_or(surer, |covariance| (covariance * (p * a.0 + q * b.0) * 0.5, covariance))
 }
 
-pub(super) fn check(recording: &ArrayRecording, geometry: &ArrayGeometry) -> Result<()> {
+pub(super) fn check(recording: &Array, geometry: &ArrayGeometry) -> Result<()> {
     if geometry.sensors.len() == recording.sensors() {
         return Ok(());
     }
@@ -186,19 +186,19 @@ pub(super) fn axes_of<const M: usize>(
 /// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used is not a number,
 /// one at its limit far beyond any.
 fn sample<const M: usize>(
-    recording: &ArrayRecording,
+    recording: &Array,
     calibration: &ArrayCalibration,
     index: usize,
     rest: usize,
 ) -> [f64; M] {
     let mut output = [0.0; M];
-    for (sensor, value) in recording.outputs[index].iter().enumerate() {
+    for sensor in 0..recording.sensors() {
         let force = if !calibration.uses(sensor) {
             [f64::NAN; 3]
-        } else if recording.saturated[index] >> sensor & 1 == 1 {
+        } else if recording.is_saturated(index, sensor) {
             [AT_LIMIT_MPS2; 3]
         } else {
-            calibration.force_since(sensor, *value, rest)
+            calibration.force_since(sensor, recording.output(index, sensor), rest)
         };
         output[3 * sensor..3 * sensor + 3].copy_from_slice(&force);
     }
@@ -206,7 +206,7 @@ fn sample<const M: usize>(
 }
 
 /// Whether the rate may be zero: within three of its deviations.
-fn may_rest(state: Option<&ArrayState<f64>>) -> bool {
+fn may_rest(state: Option<&ArrayState>) -> bool {
     state.is_none_or(|state| {
         let rate = Vector3::from(state.rate_rad_s);
         let along = rate.dot(&(Matrix3::from(state.rate_covariance) * rate));
@@ -216,11 +216,10 @@ fn may_rest(state: Option<&ArrayState<f64>>) -> bool {
 
 /// What a filter knew after each sample, and what it met on the way.
 struct Pass {
-    states: Vec<ArrayState<f64>>,
+    states: Vec<ArrayState>,
     /// Whether it began in motion, once that is known.
     moving_start: bool,
     gaps: usize,
-    backwards: usize,
     saturated: usize,
     blind: usize,
     recoveries: usize,
@@ -253,20 +252,19 @@ fn filtered<const M: usize>(
         ..ArrayConfig::default()
     };
     let mut filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
-    let count = recording.times_s.len();
+    let (times, count) = (recording.times(), recording.len());
     let order = |k: usize| if reversed { count - 1 - k } else { k };
     let mut pass = Pass {
         states: Vec::with_capacity(count),
         moving_start: false,
         gaps: 0,
-        backwards: 0,
         saturated: 0,
         blind: 0,
         recoveries: 0,
         without: vec![0; recording.sensors()],
     };
     let mut offset = calibration.offset_of(order(0));
-    let (mut begun, mut last_s) = (false, recording.times_s[order(0)]);
+    let (mut begun, mut last) = (false, times[order(0)]);
     // Start of the path since the last rest.
     let mut start = 0;
     for k in 0..count {
@@ -277,12 +275,10 @@ fn filtered<const M: usize>(
             offset = rest;
             filter.residual_biases_taken_off();
         }
-        let time_s = recording.times_s[index];
-        let step_s = if reversed { last_s - time_s } else { time_s - last_s };
+        let time = times[index];
+        let step_s = time.since_s(last).abs();
         let pushed = filter.push(step_s, &sample::<M>(recording, calibration, index, offset));
-        if step_s > 0.0 {
-            last_s = time_s;
-        }
+        last = time;
         match pushed {
             Ok(dropped) => {
                 pass.saturated += usize::from(dropped.saturated != 0);
@@ -291,7 +287,6 @@ fn filtered<const M: usize>(
                 }
             }
             Err(ArrayFault::Gap) => pass.gaps += 1,
-            Err(ArrayFault::NoTime) => pass.backwards += 1,
             Err(_) => pass.blind += 1,
         }
         let state = filter.state();
@@ -332,7 +327,6 @@ impl Pass {
                 "gap",
                 "longer than 0.25 s: how far it went in one is not known: position is uncertain from there on, and not valid before the next rest",
             ),
-            (self.backwards, "sample", "whose time stood still or went back: left out"),
             (self.saturated, "sample", "without the sensors that were at their limit"),
             (self.blind, "sample", "with too few sensors: the angular rate is carried over"),
             (

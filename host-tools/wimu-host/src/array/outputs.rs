@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use wimu_calib::{Pose, find_poses};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::ArrayRecording;
+use super::Array;
 
 /// Poses that a recording may have.
 const MOST_POSES: usize = 256;
@@ -63,37 +63,33 @@ pub(super) fn scale_of(departures: &AtRests, forces: &AtRests, used: &[usize]) -
 }
 
 /// Whether no axis of a sensor ever moves, or it has no output.
-pub(super) fn is_dead(recording: &ArrayRecording, sensor: usize) -> bool {
-    let outputs = recording.outputs.iter().map(|row| row[sensor]);
+pub(super) fn is_dead(recording: &Array, sensor: usize) -> bool {
+    let outputs = recording.units[sensor].force.v.iter();
     let mut finite = outputs.filter(|v| v.iter().all(|axis| axis.is_finite()));
     let first = finite.next();
     finite.all(|v| Some(v) == first)
 }
 
 /// Where the mean of the sensors that are not `dead` is steady.
-pub(super) fn steady_stretches(recording: &ArrayRecording, dead: &[usize]) -> Vec<Span> {
+pub(super) fn steady_stretches(recording: &Array, dead: &[usize]) -> Vec<Span> {
     let alive: Vec<usize> = (0..recording.sensors()).filter(|s| !dead.contains(s)).collect();
-    let mean = (0..recording.outputs.len()).map(|k| {
+    let mean = (0..recording.len()).map(|k| {
         let seen = alive.iter().filter(|sensor| recording.has(k, **sensor));
-        (mean(seen.map(|sensor| recording.outputs[k][*sensor].into())).into(), None)
+        (mean(seen.map(|sensor| recording.output(k, *sensor))).into(), None)
     });
     let mut poses = vec![Pose::default(); MOST_POSES];
     let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
     poses[..found]
         .iter()
         .map(|pose| (pose.first_sample as usize, pose.samples as usize))
-        .filter(|(first, count)| first + count <= recording.outputs.len())
+        .filter(|(first, count)| first + count <= recording.len())
         .collect()
 }
 
 /// Mean of a sensor over a span, and its mean variance about it; `None` where it has no output for the most part.
-pub(super) fn moments(
-    recording: &ArrayRecording,
-    sensor: usize,
-    (first, count): Span,
-) -> Option<Moments> {
+pub(super) fn moments(recording: &Array, sensor: usize, (first, count): Span) -> Option<Moments> {
     let rows = (first..first + count).filter(|k| recording.has(*k, sensor));
-    let rows: Vec<Vector3<f64>> = rows.map(|k| recording.outputs[k][sensor].into()).collect();
+    let rows: Vec<Vector3<f64>> = rows.map(|k| recording.output(k, sensor)).collect();
     if rows.len() < 2 || rows.len() * 4 < count {
         return None;
     }
@@ -103,11 +99,7 @@ pub(super) fn moments(
 }
 
 /// Whether a sensor gives output all through a span, and not only for a part of it.
-pub(super) fn is_throughout(
-    recording: &ArrayRecording,
-    sensor: usize,
-    (first, count): Span,
-) -> bool {
+pub(super) fn is_throughout(recording: &Array, sensor: usize, (first, count): Span) -> bool {
     let mut whole =
         (0..count / PART_SAMPLES).map(|part| (first + part * PART_SAMPLES, PART_SAMPLES));
     whole.all(|part| moments(recording, sensor, part).is_some())

@@ -6,7 +6,7 @@ use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes_of, with_room};
 use super::outputs::{Span, mean, moments};
-use super::{ArrayGeometry, ArrayRecording};
+use super::{Array, ArrayGeometry};
 use crate::Result;
 use crate::stats::{median, norm};
 
@@ -52,7 +52,7 @@ pub(super) struct Judged {
 /// # Errors
 /// `usage` for more than 16 sensors.
 pub(super) fn judged(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     stretches: &[Span],
     used: &[bool],
@@ -68,7 +68,7 @@ struct Mean<const M: usize> {
 }
 
 impl<const M: usize> Mean<M> {
-    fn of(recording: &ArrayRecording, span: Span, used: &[bool]) -> Self {
+    fn of(recording: &Array, span: Span, used: &[bool]) -> Self {
         let (mut output, mut variance, mut count) = ([0.0; M], 0.0, 0.0);
         for sensor in (0..used.len()).filter(|s| used[*s]) {
             if let Some((mean, own)) = moments(recording, sensor, span) {
@@ -92,13 +92,13 @@ fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
 }
 
 fn judge<const M: usize>(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     stretches: &[Span],
     used: &[bool],
 ) -> Result<Judged> {
     let axes = axes_of::<M>(geometry, &vec![1.0; geometry.sensors.len()])?;
-    let solver = match ArraySolver::<f64, M>::of(&axes, |sensor| used[sensor]) {
+    let solver = match ArraySolver::<M>::of(&axes, |sensor| used[sensor]) {
         Ok(solver) if solver.rank() > 0 => solver,
         // What is missing is said where the motion is looked for.
         _ => {
@@ -146,8 +146,8 @@ fn judge<const M: usize>(
 
 /// The parts of a stretch in which the sensors agree with each other in the same way.
 fn steady<const M: usize>(
-    recording: &ArrayRecording,
-    solver: &ArraySolver<f64, M>,
+    recording: &Array,
+    solver: &ArraySolver<M>,
     (first, count): Span,
     used: &[bool],
 ) -> Vec<Span> {

@@ -4,7 +4,7 @@ use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use super::fit::{RefineOptions, Refinement, refine};
-use super::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, ArraySensor};
+use super::{Array, ArrayBody, ArrayCalibration, ArrayGeometry, ArraySensor};
 use crate::{Code, Problem, Result};
 
 /// What a recording of rests, and of turns, says of an array.
@@ -28,7 +28,7 @@ pub struct CalibratedArray {
 /// # Errors
 /// `data_refused` where the rests do not suffice, the sensors contradict each other or their places show no angular rate; those of [`ArrayCalibration::of`].
 pub fn calibrate_array(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     gravity: Gravity,
     options: &RefineOptions,
@@ -75,7 +75,7 @@ pub fn calibrate_array(
             continue;
         }
         sensor.model = Some(in_own_axes(sensor, &calibration.sensors[k])?);
-        sensor.sensitivity_lsb_per_g = recording.sensitivities.get(k).copied().flatten();
+        sensor.sensitivity_lsb_per_g = recording.units[k].sensitivity_lsb_per_g;
     }
     Ok(CalibratedArray { geometry, calibration, refinement, findings })
 }

@@ -6,7 +6,7 @@ use wimu_calib::{
 };
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use super::poses::{Poses, median_magnitude, range_note, rms, same_orientation};
+use super::poses::{Poses, median_magnitude, range_note, rms};
 use super::report::{AXES, Criterion, Grade};
 use super::{CalibrateOptions, MethodChoice, ModelChoice, Source, magnitude, median};
 use crate::digits::significant;
@@ -79,7 +79,7 @@ fn wrong_magnitude(found: &Poses, gravity: Gravity) -> Option<Refusal> {
     }
     let mut different: Vec<&Pose> = Vec::new();
     for pose in &found.poses {
-        if !different.iter().any(|other| same_orientation(other, pose)) {
+        if !different.iter().any(|other| other.is_like(pose)) {
             different.push(pose);
         }
     }
@@ -141,18 +141,21 @@ impl Context<'_> {
         if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
             let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
             let datasheet = options.datasheet.or(data.datasheet());
-            return reason + "; " + &likely_sensitivity(ratio, used_lsb_per_g, datasheet);
+            return reason
+                + " Instead: "
+                + &likely_sensitivity(ratio, used_lsb_per_g, datasheet)
+                + ".";
         }
         if looks_like_means(data, has) {
             return reason
-                + "; the rows look like means over static poses: if they are, add --poses";
+                + " The rows look like means over static poses: if they are, add --poses.";
         }
         if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
-            let text = format!("the sensor rotated all the time, at {deg_per_s:.0}°/s");
-            return reason + "; " + &text + ": hold it still in each pose";
+            let text = format!(" The sensor rotated all the time, at {deg_per_s:.0} °/s.");
+            return reason + &text + " Hold it still in each pose.";
         }
         if has == 1 && !data.poses {
-            return reason + "; for the noise of a sensor at rest use `wimu allan`";
+            return reason + " For the noise of a sensor at rest use `wimu allan`.";
         }
         if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
             reason.extend(self.what_changed());
@@ -161,12 +164,13 @@ impl Context<'_> {
             return reason;
         }
         if options.model != ModelChoice::Auto && has > Model::Bias3.parameters() {
-            return reason + "; --model auto chooses the model that these poses support best";
+            return reason
+                + " --model auto holds what they do not determine at typical tolerances.";
         }
         let is_up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
         if Face::ALL.iter().all(is_up) {
-            reason += "; all six sides are present: if they were placed squarely, --method six-position estimates all 12 \
-                       parameters";
+            reason += " All six sides are present: if they were placed squarely, --method six-position estimates 12 \
+                       parameters.";
         }
         reason
     }
@@ -175,15 +179,15 @@ impl Context<'_> {
         let (has, degrees) = (self.poses.len(), 360 / steps.max(1));
         if has < steps {
             return format!(
-                "{} found, a rotation has {steps} steps of {degrees}°: rotate about one axis of the sensor, in one direction, \
-                 and hold it still for two seconds at each step",
+                "{} found, a rotation has {steps} steps of {degrees}°. Rotate about one axis of the sensor, in one direction, \
+                 and hold it still for two seconds at each step.",
                 counted(has, "static pose")
             );
         }
         let last = if has > pose + 1 { format!(" to {}", has - 1) } else { String::new() };
         format!(
-            "poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis: give {steps} poses \
-             for each rotation, in order, and no others{}",
+            "Poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis. Give {steps} poses \
+             for each rotation, in order, and no others{}.",
             has - pose,
             start_times(self.data, self.poses)
         )
@@ -205,14 +209,14 @@ impl Context<'_> {
         let celsius = ends(self.poses.iter().map(|pose| pose.temperature_c).collect());
         if let Some((low, high)) = celsius.filter(|(low, high)| high - low >= 1.0) {
             return Some(format!(
-                "; the temperature changed from {low:.0} to {high:.0} °C: --model auto+temperature fits its effect"
+                " The temperature changed from {low:.0} to {high:.0} °C: --model auto+temperature fits its effect."
             ));
         }
         if options.terms.contains(Term::Drift) || options.model == ModelChoice::Auto {
             return None;
         }
         let (begin, end) = ends(Some(self.poses.iter().map(|pose| pose.time_s).collect()))?;
-        let text = "; the bias may have drifted: --model auto+drift fits that";
+        let text = " The bias may have drifted: --model auto+drift fits that.";
         (end > begin).then(|| text.to_owned())
     }
 
@@ -313,8 +317,8 @@ impl Context<'_> {
         };
         (rms > most).then(|| {
             Code::Residuals.warning(format!(
-                "the residuals, {rms:.0} mm/s² rms, are larger than those of an intact sensor: the model is too small, or \
-                 poses are disturbed"
+                "the residuals, {rms:.0} mm/s² rms, exceed those of an intact sensor: the model is too small, or poses are \
+                 disturbed"
             ))
         })
     }

@@ -19,6 +19,10 @@ use crate::{Code, Problem};
 const USUAL_DPS: f64 = 2000.0;
 /// A scale factor farther from 1 is beyond the tolerance of any gyroscope.
 const TOLERANCE: f64 = 0.1;
+/// Largest departure of a scale factor from 1 at which a usual sensitivity is taken: counterfeits are 10 % off.
+const USABLE: f64 = 0.16;
+/// Ratio of errors after turns that are alike.
+const ALIKE: f64 = 1.1;
 /// Usual sensitivities, LSB per °/s: of ±250 to ±2000 °/s by InvenSense, of ±245 to ±2000 °/s by ST (datasheets of MPU-6050,
 /// LSM6DSO), and of the ITG-3200.
 const USUAL_LSB_PER_DPS: [f64; 9] =
@@ -77,8 +81,8 @@ pub(super) fn calibrate(
             session.estimate()
         })
     };
-    let refused = |reason: String| {
-        Code::Uncalibrated.warning(format!("the gyroscope is not calibrated: {reason}"))
+    let refused = |code: Code, reason: String| {
+        code.warning(format!("the gyroscope is not calibrated: {reason}"))
     };
     let (found, lsb) = match track.info.unit {
         Unit::Si => (estimate(1.0, false), None),
@@ -101,7 +105,10 @@ pub(super) fn calibrate(
     let (estimate, turning) = match found {
         Ok(found) => found,
         Err(refusal) => {
-            findings.push(refused(refusal.to_string()));
+            // Axes that differ are found: they are not undetectable.
+            let is_axes = refusal.reason == Reason::Axes;
+            let code = if is_axes { Code::Axes } else { Code::Uncalibrated };
+            findings.push(refused(code, refusal.to_string()));
             return None;
         }
     };
@@ -115,7 +122,7 @@ pub(super) fn calibrate(
     let rad_s_per_lsb = lsb.unwrap_or(range_dps.to_radians() / 32_768.0);
     let parameters = estimate.parameters(range_dps.clamp(1.0, 65_535.0) as u16, rad_s_per_lsb);
     if let Err(error) = &parameters {
-        findings.push(refused(error.to_string()));
+        findings.push(refused(Code::Uncalibrated, error.to_string()));
     }
     findings.extend(remarks(&estimate));
     let all = || 0..estimate.covariance.len();
@@ -150,18 +157,22 @@ fn at_rests(
     }
 }
 
-/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with scale factors within the
-/// tolerance, the one with the smallest error after turns.
+/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with usable scale factors and about
+/// the smallest error after turns, the one with scale factors nearest to 1.
 fn usual<T>(
     estimate: impl Fn(f64) -> Option<(GyroscopeEstimate, T)>,
 ) -> Option<((GyroscopeEstimate, T), f64)> {
     let tried = USUAL_LSB_PER_DPS.map(|lsb_per_dps| (1.0 / lsb_per_dps).to_radians());
     let found = tried.into_iter().filter_map(|rad_s| Some((estimate(rad_s)?, rad_s)));
-    let fits = found.filter(|((estimate, _), _)| {
+    let off = |estimate: &GyroscopeEstimate| {
         let matrix = estimate.model.terms().matrix;
-        (0..3).all(|axis| (matrix[axis][axis] - 1.0).abs() < TOLERANCE)
-    });
-    fits.min_by(|((a, _), _), ((b, _), _)| a.rms_rad.total_cmp(&b.rms_rad))
+        (0..3).map(|axis| (matrix[axis][axis] - 1.0).abs()).fold(0.0, f64::max)
+    };
+    let mut fits: Vec<_> = found.filter(|((estimate, _), _)| off(estimate) < USABLE).collect();
+    let least_rad =
+        fits.iter().map(|((estimate, _), _)| estimate.rms_rad).fold(f64::INFINITY, f64::min);
+    fits.retain(|((estimate, _), _)| estimate.rms_rad <= ALIKE * least_rad);
+    fits.into_iter().min_by(|((a, _), _), ((b, _), _)| off(a).total_cmp(&off(b)))
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {

@@ -13,7 +13,7 @@ use super::magnitude;
 use super::report::NextPose;
 use crate::chart::{Chart, Series};
 use crate::digits::significant;
-use crate::html::Report;
+use crate::document::Document;
 use crate::problem::Outcome;
 use crate::recording::{RateSource, Samples};
 use crate::{Code, Problem, Result};
@@ -256,8 +256,8 @@ impl MagnetometerReport {
     }
 
     /// The report as one HTML page: the text, |B| of each pose before and after correction, and a table of the poses.
-    pub fn page(&self) -> Report {
-        let mut page = Report::new(format!("Magnetometer of {}", self.source));
+    pub fn page(&self) -> Document {
+        let mut page = Document::new(format!("Magnetometer of {}", self.source));
         let (text, ut) = (self.to_string(), |value: f64| format!("{} µT", significant(value, 3)));
         page.result(text.lines().next().unwrap_or_default());
         if let Some(found) = &self.magnetometer {

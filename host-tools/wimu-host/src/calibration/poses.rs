@@ -14,7 +14,7 @@ use super::report::{Fit, Grade, MAX_POSES, StaticPose};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
     MethodChoice, ModelChoice, NextPose, SENSOR_LSB_PER_G, SensorCalibration, Session, Source,
-    change, checks, gyroscope, magnitude, median, parameter_id, saturation, weights,
+    checks, gyroscope, magnitude, median, nested, parameter_id, saturation,
 };
 use crate::csv::AccelerationUnit;
 use crate::plural::counted;
@@ -26,9 +26,6 @@ use crate::{Code, Problem, Result};
 const MAX_ADVISED: usize = 6;
 /// Up to this many more poses than parameters are planned together: chosen one by one they would not be the best set.
 const PLANNED_BEYOND: usize = 3;
-/// Cosine of 10°: poses closer than that have the same orientation.
-const SAME_ORIENTATION_COS: f64 = 0.984_8;
-
 /// Estimates the error model from a dataset.
 ///
 /// Data that do not support an answer give a report with status `refused`, not an error.
@@ -51,8 +48,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         found.rescale(scale.mps2);
         outcome = fitting.of(&found.poses);
     }
-    let noise_mps2 = fitting.weighted(data, &mut found.poses, &mut outcome);
-    let mut session = Fitted {
+    let session = Fitted {
         data,
         options,
         gravity,
@@ -61,16 +57,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
         outcome,
         problems: Vec::from_iter(repeated),
     };
-    session.problems.extend(noise_mps2.map(noise_note));
     session.report(&fitting)
-}
-
-fn noise_note(sd_mps2: f64) -> Problem {
-    Code::Residuals.note(format!(
-        "poses of fewer samples have larger residuals: a noise of {:.0} mm/s² per sample was estimated, and the poses are \
-         weighted by it",
-        sd_mps2 * 1e3
-    ))
 }
 
 /// What converts the data to m/s².
@@ -219,7 +206,7 @@ impl Poses {
         let mut rest = self.poses.as_slice();
         while let Some((turn, after)) = rest.split_at_checked(steps) {
             kept.extend_from_slice(turn);
-            let comes_back = after.first().is_some_and(|pose| same_orientation(&turn[0], pose));
+            let comes_back = after.first().is_some_and(|pose| turn[0].is_like(pose));
             let is_over = !after.len().is_multiple_of(steps);
             rest = after.get(usize::from(is_over && comes_back)..).unwrap_or(&[]);
         }
@@ -238,12 +225,6 @@ impl Poses {
             pose.rounding_sd_mps2 = pose.rounding_sd_mps2.map(|axis| axis * change);
         }
     }
-}
-
-pub(super) fn same_orientation(a: &Pose, b: &Pose) -> bool {
-    let [a, b] = [a.mean_mps2, b.mean_mps2];
-    let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
-    dot > SAME_ORIENTATION_COS * magnitude(a) * magnitude(b)
 }
 
 /// Median magnitude of the data, 1 where that is 0.
@@ -294,35 +275,6 @@ impl<'a> Fitting<'a> {
             }
         }
     }
-
-    /// Weights pose means by the noise per sample that their residuals show, and fits again. Returns that noise, m/s².
-    fn weighted(
-        &self,
-        data: &Samples<'_>,
-        poses: &mut Vec<Pose>,
-        outcome: &mut Result<Estimate, Refusal>,
-    ) -> Option<f64> {
-        if !data.poses || self.options.method != MethodChoice::MultiPosition {
-            return None;
-        }
-        let (model, terms) = (self.options.wanted(), self.options.terms);
-        let what = MultiPosition { model, terms, reject: false };
-        // First from all poses: without weights, the noisier ones would be rejected. Then again, because the noise is
-        // estimated from residuals of a fit that depends on it.
-        let bare = poses.clone();
-        let mut of_all = multi_position_with(&bare, self.gravity, what).ok();
-        let mut noise_mps2 = None;
-        for _ in 0..2 {
-            let with_noise = |estimate: &Estimate| weights::with_noise(estimate, &bare);
-            let weighted = of_all.take().as_ref().and_then(with_noise);
-            let weighted = weighted.or_else(|| outcome.as_ref().ok().and_then(with_noise));
-            let Some(weighted) = weighted else { break };
-            let Ok(better) = self.of(&weighted) else { break };
-            noise_mps2 = weighted.first().map(|pose| pose.sd_mps2[0]);
-            (*outcome, *poses) = (Ok(better), weighted);
-        }
-        noise_mps2
-    }
 }
 
 /// A fit, and all that its report says.
@@ -350,7 +302,9 @@ impl Fitted<'_> {
         self.problems.append(&mut of_gyroscope);
         let datasheet = self.limits(range);
         let (rejected, rejected_poses) = self.rejected();
-        let mut outcome = self.problems(fitting, range, &rejected_poses, gyroscope.is_some());
+        let shows_axes =
+            gyroscope.is_some() || self.problems.iter().any(|problem| problem.code == Code::Axes);
+        let mut outcome = self.problems(fitting, range, &rejected_poses, shows_axes);
         outcome.findings.extend(datasheet.iter().flat_map(DatasheetReport::findings));
         let estimate = self.outcome.as_ref().ok();
         let parameters = gyroscope.as_ref().and_then(|found| found.parameters);
@@ -417,7 +371,7 @@ impl Fitted<'_> {
         let estimate = self.outcome.as_ref().ok();
         let refit = |poses: &[Pose]| fitting.of(poses).ok();
         let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
-        let changed = estimate.and_then(|e| change::finding(&self.poses, e, refit, time_s));
+        let changed = estimate.and_then(|e| nested::finding(&self.poses, e, refit, time_s));
         let context = checks::Context {
             data,
             options: self.options,

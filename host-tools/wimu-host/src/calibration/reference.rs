@@ -24,7 +24,7 @@ use super::{magnitude, median};
 use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
-use crate::html::Report;
+use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, without_unit};
 use crate::{Code, Problem, Result};
@@ -411,7 +411,7 @@ impl fmt::Display for ReferenceReport {
 
 impl ReferenceReport {
     /// A page: the difference of each axis from the reference in `data`, before and after correction.
-    pub fn page(&self, data: &Paired) -> Report {
+    pub fn page(&self, data: &Paired) -> Document {
         let title = format!("{} against {}", self.output, self.reference);
         let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
         let Some(model) = self.model.and_then(|terms| ErrorModel::new(terms).ok()) else {

@@ -14,7 +14,7 @@ use super::{Calibration, DatasheetReport, GyroscopeReport, MethodChoice, magnitu
 use crate::Problem;
 use crate::chart::{Chart, Series, Style};
 use crate::digits::{signed, signed_with_sd, significant, with_sd};
-use crate::html::Report;
+use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, Severity};
 use crate::recording::RateSource;
@@ -471,7 +471,7 @@ impl CalibrationReport {
 
     /// The report as one HTML page: the result, |f| − g of each pose before and after, the poses on a sphere, their table,
     /// and the text.
-    pub fn page(&self) -> Report {
+    pub fn page(&self) -> Document {
         let title = format!("Calibration of {}", self.source);
         let mut page = page(title, &self.outcome, &self.to_string(), 0);
         if self.static_poses.is_empty() {
@@ -554,8 +554,8 @@ pub(super) fn sizes(name: &str, values: impl Iterator<Item = Option<f64>>) -> Se
 }
 
 /// A page with the refusal, or line `result` of the text of the command as its result.
-pub(super) fn page(title: String, outcome: &Outcome, text: &str, result: usize) -> Report {
-    let mut page = Report::new(title);
+pub(super) fn page(title: String, outcome: &Outcome, text: &str, result: usize) -> Document {
+    let mut page = Document::new(title);
     match &outcome.reason {
         Some(_) => page.result(&outcome.to_string()),
         None => page.result(text.lines().nth(result).unwrap_or_default()),

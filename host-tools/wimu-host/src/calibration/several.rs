@@ -3,6 +3,7 @@
 use std::fmt;
 
 use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{Combined, Estimate, Gravity, Parameter, combine};
 use wimu_model::{
     CalibratedTemperature, CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel,
@@ -18,7 +19,7 @@ use super::{
 };
 use crate::chart::{Chart, Series};
 use crate::digits::{significant, with_sd};
-use crate::html::Report;
+use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, Severity};
 use crate::recording::{OutputUnit, Samples};
@@ -57,19 +58,6 @@ pub struct SessionReport {
     pub rms_mm_s2: Option<f64>,
     /// Bias minus that of the combined calibration at the session's temperature, m/s².
     pub bias_difference_m_s2: [f64; 3],
-}
-
-/// The session that departs most from the prediction by the others.
-#[derive(Clone, Debug, Serialize)]
-pub struct DepartureReport {
-    /// Its data.
-    pub source: String,
-    /// The parameter.
-    pub parameter: String,
-    /// Departure in standard deviations.
-    pub sigmas: f64,
-    /// Limit that 0.27 % of calibrations without a fault exceed.
-    pub limit: f64,
 }
 
 /// Result of a calibration from several sessions: the JSON of `wimu calibrate A B … --json`.
@@ -117,8 +105,8 @@ pub struct SeveralFit {
     pub within_sd: Repeatability,
     /// Degrees of freedom of those between sessions: bias, scale factor, misalignment.
     pub between_dof: [f64; 3],
-    /// The session that departs most.
-    pub departure: Option<DepartureReport>,
+    /// 95 % intervals of those between sessions; `None` where none is seen.
+    pub between_95: [Option<[f64; 2]>; 3],
     /// Temperatures of the sessions, °C.
     pub temperature: Option<CalibratedTemperature>,
     /// The error model.
@@ -244,12 +232,6 @@ impl SeveralReport {
                     .map(|axis| own[axis] - terms.bias_mps2[axis] - slope[axis] * dt),
             });
         }
-        let departure = found.worst.map(|worst| DepartureReport {
-            source: singles[worst.session].source.clone(),
-            parameter: worst.parameter.to_string(),
-            sigmas: worst.sigmas,
-            limit: worst.limit,
-        });
         let rms_mm_s2 = residual_mm_s2(&found.model, singles, gravity);
         let sd = Parameter::ALL.map(|parameter| found.covariance.sd(parameter));
         let fit = SeveralFit {
@@ -259,7 +241,7 @@ impl SeveralReport {
             between_sd: found.between_sd.into(),
             within_sd: found.within_sd.into(),
             between_dof: found.dof,
-            departure,
+            between_95: [0, 1, 2].map(|k| interval_95(found.between_sd[k], found.dof[k])),
             temperature: found.temperature,
             model: terms,
             sd: deviations(
@@ -318,14 +300,6 @@ impl SeveralReport {
                 }
             }
         }
-        if let Some(departs) = (fit.departure.iter()).find(|worst| worst.sigmas > worst.limit) {
-            let text = format!(
-                "{} departs from the other sessions by {:.1} standard deviations in {} (limit {:.1})",
-                departs.source, departs.sigmas, departs.parameter, departs.limit
-            );
-            let finding = Code::Residuals.warning(text);
-            findings.push(finding.remedy("repeat it, or leave it out"));
-        }
         if fit.temperature.is_none() && singles.len() > 2 {
             let text = "not all sessions have temperatures: no temperature coefficients";
             findings.push(Code::Temperature.note(text));
@@ -334,6 +308,12 @@ impl SeveralReport {
         let of_gravity = checks::gravity(model, &found.covariance, found.fitted, gravity, source);
         findings.extend(of_gravity);
     }
+}
+
+/// 95 % interval of a standard deviation with `dof` degrees of freedom, by χ².
+fn interval_95(sd: f64, dof: f64) -> Option<[f64; 2]> {
+    let chi_squared = ChiSquared::new(dof).ok().filter(|_| sd > 0.0)?;
+    Some([0.975, 0.025].map(|p| sd * (dof / chi_squared.inverse_cdf(p)).sqrt()))
 }
 
 /// Quality record of a combination.
@@ -386,11 +366,14 @@ impl fmt::Display for SeveralReport {
         };
         writeln!(
             out,
-            "{}: bias repeats within ± {} mm/s² between sessions (± {} within one)\n\
+            "{}: bias repeats within ± {} mm/s² between sessions{} (± {} within one)\n\
              scale factor {}, misalignment {}\n\
              |f| − g over all poses: {} mm/s² rms before, {} after",
             counted(self.sessions.len(), "session"),
             of(between.bias_m_s2, 1e3),
+            fit.between_95[0].map_or(String::new(), |[low, high]| {
+                format!(", 95 % {} to {}", of(low, 1e3), of(high, 1e3))
+            }),
             of(within.bias_m_s2, 1e3),
             changes(between.scale, within.scale, 1e6, "ppm"),
             changes(between.misalignment_rad, within.misalignment_rad, 1e3, "mrad"),
@@ -422,7 +405,7 @@ impl fmt::Display for SeveralReport {
 
 impl SeveralReport {
     /// A page: the difference of each session's bias from the combination, and the residuals of each session.
-    pub fn page(&self) -> Report {
+    pub fn page(&self) -> Document {
         let names: Vec<String> = self.sessions.iter().map(|s| s.source.clone()).collect();
         let title = format!("Calibration of {}", names.join(", "));
         let mut page = page(title, &self.outcome, &self.to_string(), 0);

@@ -10,7 +10,7 @@ use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, 
 use super::poses::Poses;
 use crate::chart::{Band, Chart, Series};
 use crate::digits::signed_with_sd;
-use crate::html::Report;
+use crate::document::Document;
 use crate::problem::Outcome;
 use crate::recording::Samples;
 use crate::{Code, Problem, Result};
@@ -217,7 +217,7 @@ impl fmt::Display for UpdateReport {
 
 impl UpdateReport {
     /// A page: |f| − g of each rest beside what the stored calibration explains.
-    pub fn page(&self) -> Report {
+    pub fn page(&self) -> Document {
         let title = format!("Calibration {} against {}", self.stored_id, self.source);
         let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
         if self.rests.is_empty() {

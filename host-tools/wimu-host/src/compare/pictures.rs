@@ -3,44 +3,15 @@
 use super::link::Slice;
 use super::{Axis, Comparison, History, Values};
 use crate::chart::{self, Band, Chart, Series};
-use crate::digits::significant;
-use crate::html::Report;
+use crate::document::Document;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// Smallest latency shown, ms: the uncertainty of the clock.
 const LEAST_SHOWN_MS: f64 = 0.1;
 
 impl Comparison {
-    /// A page with the charts; `printed` is the text of the command.
-    pub fn page(&self, printed: &str) -> Report {
-        let mut report = Report::new(format!("Wireless against cable: {}", self.source));
-        report.result(printed.lines().next().unwrap_or_default());
-        let wireless = &self.links[1];
-        let lost = wireless.lost as f64 / (wireless.delivered + wireless.lost).max(1) as f64;
-        report.key(
-            "wireless samples lost",
-            &format!("{} ({} %)", wireless.lost, significant(100.0 * lost, 2)),
-        );
-        let latency = &wireless.latency;
-        report.key(
-            "wireless latency, median and 99 %",
-            &format!("{:.1}, {:.1} ms", latency.median_ms, latency.p99_ms),
-        );
-        if let Some(values) = &self.values {
-            let largest = |of: fn(&Axis) -> f64| values.axes.iter().map(of).fold(0.0, f64::max);
-            let [before, after] =
-                [largest(|axis| axis.rms_before_mps2), largest(|axis| axis.rms_after_mps2)]
-                    .map(|mps2| significant(mps2 * 1e3, 3));
-            let name = "difference of the links, rms, before and after the model";
-            report.key(name, &format!("{before} → {after} mm/s²"));
-        }
-        report.printed(printed).findings(&self.findings);
-        self.pictures(&mut report);
-        report
-    }
-
     /// Adds the charts to a page, without those whose curves lie upon each other.
-    pub fn pictures(&self, report: &mut Report) {
+    pub fn pictures(&self, report: &mut Document) {
         for (name, chart) in self.charts() {
             if !name.starts_with("both") {
                 report.chart(&chart);

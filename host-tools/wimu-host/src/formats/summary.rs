@@ -6,6 +6,7 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::{ReadOptions, Source, read};
 use crate::chart::{Chart, Series};
+use crate::document::{Document, ToDocument};
 use crate::plural::counted;
 use crate::recording::{Origin, Quantity, Sink, TrackId, TrackInfo, Unit};
 use crate::stats::{median, norm};
@@ -390,35 +391,56 @@ impl Extremes {
     }
 }
 
-impl std::fmt::Display for TrackSummary {
-    /// One line.
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.origin == Origin::Sensor.name() {
-            write!(out, "sensor {} {}", self.sensor, self.quantity)?;
-        } else {
-            write!(out, "{} of {}", self.origin, self.quantity)?;
+impl ToDocument for Summary {
+    fn document(&self) -> Document {
+        let mut document = Document::new(&self.source);
+        let seconds = self.duration_s;
+        document.result(&format!("{}: {}, {seconds:.1} s", self.source, self.format));
+        let others = self.other_columns();
+        for track in self.tracks.iter().filter(|track| !others.contains(&track.name.as_str())) {
+            document.key(&track.title(), &track.contents());
         }
-        let rows = counted(self.rows as usize, "row");
-        write!(out, " ({}, {}): {rows}", self.name, self.unit)?;
+        if !others.is_empty() {
+            document.key("other columns", &others.join(", "));
+        }
+        document.findings(&self.findings);
+        document
+    }
+}
+
+impl TrackSummary {
+    /// Sensor, quantity, name and unit.
+    fn title(&self) -> String {
+        let (quantity, name, unit) = (self.quantity, &self.name, self.unit);
+        if self.origin == Origin::Sensor.name() {
+            format!("sensor {} {quantity} ({name}, {unit})", self.sensor)
+        } else {
+            format!("{} of {quantity} ({name}, {unit})", self.origin)
+        }
+    }
+
+    /// Rows, rate, gaps and rests.
+    fn contents(&self) -> String {
+        let mut text = counted(self.rows as usize, "row");
         if let Some(rate) = self.rate_hz {
-            write!(out, ", {rate:.1} Hz")?;
+            text += &format!(", {rate:.1} Hz");
         }
         if self.gaps > 0 {
             let gaps = counted(self.gaps as usize, "gap");
-            write!(out, ", {gaps} (longest {:.2} s)", self.longest_step_s)?;
+            text += &format!(", {gaps} (longest {:.2} s)", self.longest_step_s);
         }
         if self.not_finite > 0 {
-            write!(out, ", {} not finite", self.not_finite)?;
+            text += &format!(", {} not finite", self.not_finite);
         }
         match (self.rests, self.mean_at_rest) {
             (Some(rests), Some(mean)) => {
                 let digits = if mean < 100.0 { 3 } else { 0 };
-                let unit = self.unit;
                 let rests = counted(rests, "rest");
-                write!(out, ", {rests} with mean magnitude {mean:.digits$} {unit}")
+                text += &format!(", {rests} with mean magnitude {mean:.digits$} {}", self.unit);
             }
-            (Some(_), None) => write!(out, ", no rests"),
-            _ => Ok(()),
+            (Some(_), None) => text += ", no rests",
+            _ => {}
         }
+        text
     }
 }

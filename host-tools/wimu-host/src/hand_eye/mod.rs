@@ -239,8 +239,8 @@ impl HandEye {
     /// A page with the result, residuals over time and `text`, that of the command.
     ///
     /// # Errors
-    /// Those of [`Report`](crate::html::Report).
-    pub fn page(&self, text: &str) -> crate::html::Report {
+    /// Those of [`Document`](crate::document::Document).
+    pub fn page(&self, text: &str) -> crate::document::Document {
         report::page(self, text)
     }
 }

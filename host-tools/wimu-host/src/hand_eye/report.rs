@@ -5,7 +5,7 @@ use std::fmt;
 use super::HandEye;
 use crate::chart::{Chart, Series};
 use crate::digits::{signed_with_sd, significant};
-use crate::html::Report;
+use crate::document::Document;
 
 impl fmt::Display for HandEye {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -46,8 +46,8 @@ impl fmt::Display for HandEye {
 }
 
 /// A page with the key figures and both residuals over time.
-pub(super) fn page(report: &HandEye, text: &str) -> Report {
-    let mut page = Report::new("Pose of a camera in the body");
+pub(super) fn page(report: &HandEye, text: &str) -> Document {
+    let mut page = Document::new("Pose of a camera in the body");
     match &report.outcome.reason {
         Some(reason) => page.result(&format!("No result: {reason}")),
         None => page.result("The camera's rotation in the body is known."),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::csv::columns::{LENGTH, NUMBER, TIME, Table};
+use crate::formats::table::{LENGTH, Measurements, NUMBER, TIME};
 use crate::lag::{Lag, Search, lag};
 use crate::motion::MotionRecording;
 use crate::plural::counted;
@@ -133,16 +133,7 @@ impl PoseStream {
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows`.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut table = Table::read_or(path, |text| {
-            let rows = text.lines().filter(|line| !line.starts_with('#'));
-            let fields = |line: &str| line.split_whitespace().count() == 8 && !line.contains(',');
-            let mut rows = rows.filter(|line| !line.trim().is_empty()).peekable();
-            rows.peek().is_some_and(|line| fields(line)).then(|| {
-                let rows = rows.map(|row| row.split_whitespace().collect::<Vec<_>>().join(","));
-                let rows: Vec<String> = rows.collect();
-                format!("{TUM}\n{}\n", rows.join("\n"))
-            })
-        })?;
+        let mut table = Measurements::read_or(path, &TUM)?;
         table.name = crate::untrusted::name(path);
         let time = table.needed(&["Time"], TIME)?;
         let mut columns = Vec::new();
@@ -154,7 +145,7 @@ impl PoseStream {
             columns.push(table.needed(&[&format!("Quaternion {axis}")], NUMBER)?);
         }
         let (mut poses, mut left_out) = (Vec::new(), 0);
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let values = columns.iter().map(|column| table.value(row, *column));
             let values: Option<Vec<f64>> =
                 values.collect::<Result<Vec<_>>>()?.into_iter().collect();
@@ -249,7 +240,17 @@ impl PoseStream {
     }
 }
 
-const TUM: &str = "Time (s),Position X (m),Position Y (m),Position Z (m),Quaternion X,Quaternion Y,Quaternion Z,Quaternion W";
+/// Columns of a trajectory in the TUM format.
+const TUM: [&str; 8] = [
+    "Time (s)",
+    "Position X (m)",
+    "Position Y (m)",
+    "Position Z (m)",
+    "Quaternion X",
+    "Quaternion Y",
+    "Quaternion Z",
+    "Quaternion W",
+];
 
 /// Time of the body's clock less that of the camera's, within ± `limit_s` or any without a limit, by the magnitudes of both angular
 /// rates; `None` if the streams overlap nowhere for [`OVERLAP_S`].

@@ -2,11 +2,11 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{compare, moving};
+use super::truth::{Nees, compare, moving};
 use super::{Choice, InertialPath, Method, PathPoint};
-use crate::array::{Agreement, ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording};
+use crate::array::{Agreement, Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use crate::motion::{LIKELY, heading_rad, nees};
-use crate::series::Ns;
+use crate::series::Interp;
 use crate::stats::norm;
 use crate::{Code, Problem, Result};
 
@@ -15,7 +15,7 @@ const CENTRED_M: f64 = 1e-3;
 /// What the uncalibrated mean of an array's sensors may differ from gravity by, as a part of it.
 const GRAVITY_SHARE: f64 = 0.2;
 
-/// Navigates an array; `recording` is in body axes ([`ArrayRecording::arranged`]). A size of the array that the motion contradicts
+/// Navigates an array; `recording` is in body axes ([`Array::arranged`]). A size of the array that the motion contradicts
 /// is a warning.
 ///
 /// With [`Choice::smooth`] the angular rate is that from the whole recording. Attitude, velocity and position are those of the
@@ -25,7 +25,7 @@ const GRAVITY_SHARE: f64 = 0.2;
 /// Those of [`ArrayBody`]; `data_refused` where the sensors contradict each other, what
 /// they show at rest is not gravity, or no position is valid.
 pub fn navigate_array(
-    recording: &ArrayRecording,
+    recording: &Array,
     geometry: &ArrayGeometry,
     calibration: &ArrayCalibration,
     choice: &Choice,
@@ -98,18 +98,17 @@ fn warnings(texts: Vec<String>) -> impl Iterator<Item = Problem> {
 
 /// The path of an array whose states are these, against the truth where there is any.
 fn path_of(
-    recording: &ArrayRecording,
-    states: &[ArrayState<f64>],
+    recording: &Array,
+    states: &[ArrayState],
     choice: &Choice,
     said: impl Iterator<Item = Problem>,
 ) -> Result<InertialPath> {
     let valid = |k: &usize| states[*k].valid && states[*k].position_sd_m() <= choice.limit_m;
     let points = states
         .iter()
-        .zip(&recording.times_s)
-        .map(|(state, time_s)| PathPoint {
-            // To the nanosecond, as the file says it.
-            time_s: Ns(recording.start_ns).after_s(*time_s).s(),
+        .zip(recording.times())
+        .map(|(state, time)| PathPoint {
+            time_s: time.s(),
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
             velocity_sd_mps: [0.0; 3],
@@ -134,8 +133,7 @@ fn path_of(
              their spread"
         )));
     }
-    let measured = |(name, _): &(String, Vec<f64>)| name.starts_with("Magnetometer ");
-    let field = if recording.other.iter().any(measured) {
+    let field = if recording.has_magnetometer {
         "the array's method does not use the magnetometer"
     } else {
         "no magnetometer"
@@ -144,10 +142,14 @@ fn path_of(
     path.findings.push(Code::Navigation.note(text));
     let mut path = path.checked(&recording.name, super::REMEDY)?;
     let truth = recording.truth();
-    let true_rate = recording.true_rate_rad_s();
-    let column = recording.other.iter().find(|(name, _)| name == "Moving");
-    let column = column.map(|(_, values)| values.as_slice());
-    let moving = moving(&recording.times_s, column, &truth, &true_rate);
+    let true_rate = recording.beside(&recording.reference.rate_rad_s);
+    let moving = {
+        let column =
+            recording.reference.moving.on(recording.times().iter().copied(), Interp::Linear);
+        let column: Vec<f64> = column.map(|at| at.map_or(f64::NAN, |at| at.value)).collect();
+        let column = (!recording.reference.moving.is_empty()).then_some(column);
+        moving(&recording.times_s(), column.as_deref(), &truth, &true_rate)
+    };
     compare(&mut path, &truth, &moving);
     let valid = |k: &usize| path.points[*k].valid && moving.get(*k).is_some_and(|moves| *moves);
     let vector_nees = |truth: &[Option<[f64; 3]>],
@@ -166,14 +168,15 @@ fn path_of(
         (point.valid && by.is_finite()).then(|| by.sin_cos())
     });
     let (sin, cos) = turn.unwrap_or((0.0, 1.0));
-    let true_velocity: Vec<Option<[f64; 3]>> = recording
-        .vectors(["E", "N", "U"].map(|a| format!("Truth Velocity {a} (m/s)")))
+    let true_velocity = recording.beside(&recording.reference.velocity_mps);
+    let true_velocity: Vec<Option<[f64; 3]>> = true_velocity
         .into_iter()
         .map(|v| v.map(|[e, n, u]| [cos * e + sin * n, cos * n - sin * e, u]))
         .collect();
     let velocity_nees =
         vector_nees(&true_velocity, &|k| (states[k].velocity_mps, states[k].velocity_covariance));
-    path.rate_nees = rate_nees;
-    path.velocity_nees = velocity_nees;
-    Ok(path)
+    let is_heading_fitted = path.nees.is_heading_fitted;
+    path.rate_nees = Nees { all: rate_nees, is_heading_fitted };
+    path.velocity_nees = Nees { all: velocity_nees, is_heading_fitted };
+    Ok(path.assumed(choice))
 }

@@ -1,12 +1,14 @@
 //! Delay of the angular rate against the specific force, which no single innovation shows.
 
+use nalgebra::Vector3;
 use wimu_nav::navigator::{Profile, Sample};
 
+use super::aids::Aids;
 use super::segments::IMPROBABLE;
-use super::track::Track;
-use super::unit::{Unit, sample};
-use super::{Choice, Fixes, Method};
+use super::unit::{Unit, run, sample};
+use super::{Choice, Method};
 use crate::motion::UnitSample;
+use crate::series::{Interp, Ns, Series};
 
 /// Step of the search, s, and its end: half the swing of a step.
 const STEP_S: f64 = 0.02;
@@ -21,7 +23,7 @@ impl Unit<'_> {
     /// values has the variance 4/ν (R. A. Fisher, "On a distribution yielding the error functions of several well known
     /// statistics", 1924).
     pub fn rate_delay_s(&self, choice: &Choice) -> Option<f64> {
-        if choice.profile == Profile::Vehicle || choice.fixes != Fixes::default() {
+        if choice.profile == Profile::Vehicle || choice.aids != Aids::default() {
             return None;
         }
         let (now, dof) = self.mean_square(0.0, choice)?;
@@ -49,34 +51,28 @@ impl Unit<'_> {
         let end = self.times_s.partition_point(|t| *t < self.times_s[0] + SHOWN_S);
         let moved = self.advanced(delay_s, end);
         let samples: Vec<Sample> = moved.iter().map(sample).collect();
-        let inputs = self.inputs(&samples, choice, Method::Strapdown);
-        let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
-        let start = self.start(&samples, &rests, choice).ok()?;
-        let at_rest = self.first_rest(&rests).is_some();
-        let mut track = Track::new(start, choice, self.times_s[0], at_rest);
-        for input in &inputs {
-            track.step(input, &choice.fixes);
-        }
-        track.segments.mean_square()
+        let steps = self.steps(&samples, choice, Method::Strapdown);
+        let mut navigator = self.begin(&samples, &steps, choice).ok()?;
+        run(&mut navigator, &[], None, &steps);
+        navigator.segments.mean_square()
     }
 
     /// The first `count` samples with the angular rate that is measured `delay_s` later, between two samples linearly.
     pub fn advanced(&self, delay_s: f64, count: usize) -> Vec<UnitSample> {
+        let none = Vector3::repeat(f64::NAN);
+        let rows = self.times_s.iter().zip(self.samples);
+        let rates: Series<Vector3<f64>> = Series::of(
+            rows.map(|(t, s)| (Ns::from_s(*t), s.rate_rad_s.map_or(none, Vector3::from))),
+        )
+        .with_gap(f64::INFINITY);
         let rate_at = |time_s: f64| {
-            let next = self.times_s.partition_point(|t| *t < time_s);
-            let before = next.saturating_sub(1);
-            let next = next.min(self.times_s.len() - 1);
-            let [a, b] = [before, next].map(|k| self.samples[k].rate_rad_s);
-            let [from_s, to_s] = [before, next].map(|k| self.times_s[k]);
-            let (Some(a), Some(b), true) = (a, b, to_s > from_s) else {
-                return b.or(a);
-            };
-            let part = ((time_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
-            Some([0, 1, 2].map(|axis| a[axis] + part * (b[axis] - a[axis])))
+            let [first, last] = rates.span()?;
+            let at = rates.at(Ns::from_s(time_s).clamp(first, last), Interp::Linear)?;
+            Some(at.value.into())
         };
         let moved =
             self.samples[..count].iter().zip(self.times_s).map(|(sample, time_s)| UnitSample {
-                rate_rad_s: sample.rate_rad_s.and_then(|_| rate_at(time_s + delay_s)),
+                rate_rad_s: sample.rate_rad_s.map(|rate| rate_at(time_s + delay_s).unwrap_or(rate)),
                 ..*sample
             });
         moved.collect()

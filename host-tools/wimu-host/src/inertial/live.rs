@@ -1,14 +1,18 @@
-//! Navigation of a stream.
+//! Navigation of a stream, at several headings until fixes or ranges rule out all but one.
 
-use wimu_nav::navigator::{Profile, Sample};
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+use wimu_nav::navigator::Profile;
 use wimu_nav::stance::AHEAD_S;
+use wimu_nav::state::{POSITION, VELOCITY};
 
-use super::fixes::{Aided, Fix};
-use super::headings::Headings;
+use super::aids::Aid;
+use super::navigator::{Carrier, Navigator, Step, counted_findings};
 use super::sense::{Senses, clipped};
-use super::track::{Input, counted_findings};
-use super::unit::{OnceEachField, Unit, detector, noise_mps2, sample};
-use super::{Choice, InertialPath, Method, PathPoint};
+use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2, sample};
+use super::{AidUse, Choice, InertialPath, Method, PathPoint};
+use crate::localization::AnchorStates;
 use crate::motion::{MotionRecording, UnitSample, other_clock};
 use crate::rests::RestLimits;
 use crate::{Code, Problem, Result};
@@ -19,12 +23,16 @@ const START_S: f64 = 3.0;
 const BLOCK_S: f64 = 0.1;
 /// Samples that are kept before the horizon, s: those that a stance looks back to.
 const KEPT_S: f64 = AHEAD_S + 1.0;
-/// Fixes that are all later than the newest sample by this time, s, are of another clock: a day.
+/// Aids that are all later than the newest sample by this time, s, are of another clock: a day.
 const FAR_S: f64 = 86_400.0;
+/// Difference of the logarithms of two likelihoods beyond which the smaller one is ruled out: odds of 1 to 2·10⁹.
+const RULED_OUT: f64 = 21.4;
+/// Standard deviation of a heading of which nothing is known, rad.
+const ANY_HEADING: f64 = 1.81;
 
-/// A unit that is navigated while it moves, with the filter of [`navigate`](super::navigate).
+/// A unit that is navigated while it moves, with the steps of [`navigate`](super::navigate).
 ///
-/// The filter is behind the newest sample by a horizon, within which fixes may arrive late and the detector of rests sees
+/// The filter is behind the newest sample by a horizon, within which aids may arrive late and the detector of rests sees
 /// samples before and after. Each answer predicts the samples since then anew (delayed fusion horizon, as PX4's EKF2).
 ///
 /// ```
@@ -44,30 +52,36 @@ pub struct Live {
     choice: Choice,
     /// The samples since a little before the horizon, and what is known of the sensors.
     recording: MotionRecording,
-    /// How late fixes may arrive, s.
+    /// How late aids may arrive, s.
     delay_s: f64,
     /// Of the buffered samples, those before the horizon.
     taken: usize,
     once: OnceEachField,
     begun: Option<Begun>,
     findings: Vec<Problem>,
-    /// Fixes and ranges that came too late.
-    late: [usize; 2],
+    /// Aids that came too late.
+    late: BTreeMap<&'static str, AidUse>,
     not_finite: usize,
     clipped: usize,
 }
 
-/// What the first seconds have shown.
+/// What the first seconds have shown, and the path since then.
 struct Begun {
     method: Method,
     senses: Senses,
     noise_mps2: f64,
     gravity_mps2: f64,
-    path: Headings,
+    /// At several headings, until aids rule out all but one; the most probable first.
+    paths: Vec<Navigator>,
+    /// States of the anchors of ranges.
+    anchors: Option<AnchorStates>,
+    /// Whether the path is in the frame of the fixes, and when it was moved to it, s.
+    placed: bool,
+    jumped_s: Option<f64>,
 }
 
 impl Live {
-    /// Before the first sample. `of` has the full scale and the calibration of the sensors; fixes may arrive `delay_s` late.
+    /// Before the first sample. `of` has the full scale and the calibration of the sensors; aids may arrive `delay_s` late.
     pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
         let window_s = match choice.profile {
             Profile::Foot => RestLimits::foot().window_s + AHEAD_S,
@@ -81,7 +95,7 @@ impl Live {
             once: OnceEachField::default(),
             begun: None,
             findings: Vec::new(),
-            late: [0; 2],
+            late: BTreeMap::new(),
             not_finite: 0,
             clipped: 0,
         }
@@ -114,16 +128,23 @@ impl Live {
     }
 
     /// A measurement of another system. A fix of the horizontal position, or ranges of a second, move the path to their frame.
-    pub fn fix(&mut self, fix: Fix) {
+    pub fn aid(&mut self, aid: Aid) {
         // Before the filter begins the horizon is at the first sample.
         let horizon_s = self.recording.times_s.get(self.taken);
-        if horizon_s.is_some_and(|horizon_s| fix.time_s < *horizon_s) {
-            self.late[usize::from(fix.range_m.is_some())] += 1;
+        if horizon_s.is_some_and(|horizon_s| aid.time_s < *horizon_s) {
+            self.is_late(&aid);
             return;
         }
-        let fixes = &mut self.choice.fixes.fixes;
-        let at = fixes.partition_point(|other| other.time_s <= fix.time_s);
-        fixes.insert(at, fix);
+        for path in self.begun.iter_mut().flat_map(|begun| &mut begun.paths) {
+            path.aid(&aid);
+        }
+        let aids = &mut self.choice.aids.aids;
+        let at = aids.partition_point(|other| other.time_s <= aid.time_s);
+        aids.insert(at, aid);
+    }
+
+    fn is_late(&mut self, aid: &Aid) {
+        self.late.entry(aid.kind.name).or_insert_with(|| AidUse::of(aid.kind)).late += 1;
     }
 
     /// The magnetometer is not calibrated: its field is not given.
@@ -138,33 +159,45 @@ impl Live {
         let origin = moves.unwrap_or(points.len()).saturating_sub(1);
         let mut path = InertialPath::new(method, points, origin, self.choice.limit_m);
         path.findings = self.findings();
-        path.aided = self.aided();
-        path
+        path.aids = self.aids();
+        path.assumed(&self.choice)
     }
 
-    /// What happened to the fixes and to the ranges up to now.
-    pub fn aided(&self) -> [Aided; 2] {
-        let begun = self.begun.as_ref();
-        let mut aided = begun.map_or_else(Default::default, |begun| begun.path.aided());
-        for (aided, late) in aided.iter_mut().zip(self.late) {
-            aided.late = late;
+    /// What happened to the aids up to now.
+    pub fn aids(&self) -> BTreeMap<&'static str, AidUse> {
+        let best = self.begun.as_ref().and_then(|begun| begun.paths.first());
+        let mut aids = best.map_or_else(BTreeMap::new, |path| path.uses.clone());
+        for (name, late) in &self.late {
+            aids.entry(*name).or_insert(*late).late = late.late;
         }
-        aided
+        aids
     }
 
     /// Where the unit is at the newest sample; `None` in the first three seconds.
     pub fn now(&self) -> Option<PathPoint> {
         let begun = self.begun.as_ref()?;
-        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
-        let inputs = self.inputs(&samples, begun);
-        let mut point = begun.path.ahead(inputs.get(self.taken..)?, &self.choice.fixes)?;
-        point.valid &= point.sd_m() <= self.choice.limit_m;
+        let steps = self.steps(begun);
+        let ahead = steps.get(self.taken..)?;
+        let best = begun.paths.first()?;
+        let mut path = best.clone();
+        if !begun.placed {
+            path.without_aids();
+        }
+        let mut point = ahead.iter().map(|step| path.step(step)).last()?;
+        path.segments.scale(&mut point);
+        let ahead_s = ahead[ahead.len() - 1].time_s - ahead[0].time_s;
+        let limit_m = self.choice.limit_m;
+        point.valid &= path.has_origin() && begun.agree(best, ahead_s, limit_m);
+        if begun.paths.len() > 1 {
+            point.attitude_sd_rad[2] = ANY_HEADING;
+        }
+        point.valid &= point.sd_m() <= limit_m;
         Some(point)
     }
 
-    /// Headings that explain the fixes: the path is not valid while they have different positions.
+    /// Headings that explain the aids: the path is not valid while they have different positions.
     pub fn headings(&self) -> usize {
-        self.begun.as_ref().map_or(1, |begun| begun.path.headings())
+        self.begun.as_ref().map_or(1, |begun| begun.paths.len())
     }
 
     /// Time of the newest sample, s.
@@ -174,46 +207,44 @@ impl Live {
 
     /// What was noticed up to now.
     pub fn findings(&self) -> Vec<Problem> {
-        let mut found = [&self.choice.fixes.findings[..], &self.findings].concat();
+        let mut found = [&self.choice.aids.findings[..], &self.findings].concat();
         let late = "arrived later than the filter waits: not used (--setup fix_delay_s=S)";
+        for used in self.late.values() {
+            found.extend(counted_findings(Code::SamplesLeftOut, used.one(), &[(used.late, late)]));
+        }
         let counts = [
-            (self.late[0], "fix", late),
-            (self.late[1], "range", late),
             (self.clipped, "clipped sample", "not used: σ grows there"),
             (self.not_finite, "sample", "that is not finite: not used"),
         ];
         for (count, one, what) in counts {
-            let counts = [(count, what)];
-            found.extend(counted_findings(Code::SamplesLeftOut, one, &counts));
+            found.extend(counted_findings(Code::SamplesLeftOut, one, &[(count, what)]));
         }
         found.extend(self.other_clock());
         if let Some(begun) = &self.begun {
-            found.extend(begun.path.findings(&self.choice.fixes));
+            found.extend(begun.findings());
         }
         found
     }
 
-    /// Fixes of a file whose times are not those of the device.
+    /// Aids of a file whose times are not those of the device.
     fn other_clock(&self) -> Option<Problem> {
-        let fixes = &self.choice.fixes.fixes;
-        let (first, last) = fixes.first().zip(fixes.last())?;
+        let aids = &self.choice.aids.aids;
+        let (first, last) = aids.first().zip(aids.last())?;
         let newest_s = self.newest_s()?;
         if first.time_s < newest_s + FAR_S {
             return None;
         }
-        let fixes = ("fixes or ranges", [first.time_s, last.time_s]);
-        let error = other_clock([fixes, ("device", [newest_s; 2])]);
+        let aids = ("fixes or ranges", [first.time_s, last.time_s]);
+        let error = other_clock([aids, ("device", [newest_s; 2])]);
         Some(Code::Clock.warning(error.text).remedy(error.remedy))
     }
 
     fn begin(&mut self) -> Result<()> {
         let begun_s = self.recording.times_s[0];
-        let fixes = &mut self.choice.fixes.fixes;
-        let before = fixes.partition_point(|fix| fix.time_s < begun_s);
-        for fix in fixes.drain(..before) {
-            self.late[usize::from(fix.range_m.is_some())] += 1;
-        }
-        let recording = &self.recording;
+        let before = self.choice.aids.aids.partition_point(|aid| aid.time_s < begun_s);
+        let early: Vec<Aid> = self.choice.aids.aids.drain(..before).collect();
+        early.iter().for_each(|aid| self.is_late(aid));
+        let (recording, choice) = (&self.recording, &self.choice);
         let senses = Senses::of(recording)?;
         let method = Method::of(&recording.samples);
         self.findings = senses.findings.clone();
@@ -225,21 +256,39 @@ impl Live {
             self.findings.push(Code::Navigation.note(text));
         }
         let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
-        let samples = &recording.samples;
-        let unit = Unit::of(recording, samples, &senses, &senses.clipped, noise_mps2);
-        let path = unit.begin(&self.choice, method)?;
+        let unit = Unit::of(recording, &recording.samples, &senses, &senses.clipped, noise_mps2);
+        unit.accepts(choice, method)?;
+        let samples: Vec<_> = recording.samples.iter().map(sample).collect();
+        let steps = unit.steps(&samples, choice, method);
+        let mut start = unit.begin(&samples, &steps, choice)?;
+        let ranging = choice.aids.ranging.as_ref();
+        let anchors = ranging.map(|ranging| ranging.claim(&mut start.core));
         let gravity_mps2 = unit.gravity_mps2;
-        self.begun = Some(Begun { method, senses, noise_mps2, gravity_mps2, path });
+        choice.aids.aids.iter().for_each(|aid| start.aid(aid));
+        let placed = choice.start.is_some() && anchors.is_none();
+        let paths = vec![start];
+        self.begun = Some(Begun {
+            method,
+            senses,
+            noise_mps2,
+            gravity_mps2,
+            paths,
+            anchors,
+            placed,
+            jumped_s: None,
+        });
         Ok(())
     }
 
-    fn inputs<'s>(&self, samples: &'s [Sample], begun: &Begun) -> Vec<Input<'s>> {
+    /// The buffered samples as steps.
+    fn steps(&self, begun: &Begun) -> Vec<Step> {
+        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
         let all = &self.recording.samples;
         let (senses, clipped) = (&begun.senses, clipped(all));
         let unit = Unit::of(&self.recording, all, senses, &clipped, begun.noise_mps2);
         // What is buffered now may have no rest.
         let unit = Unit { gravity_mps2: begun.gravity_mps2, ..unit };
-        unit.inputs(samples, &self.choice, begun.method)
+        unit.steps(&samples, &self.choice, begun.method)
     }
 
     /// Moves the horizon up to a time, s.
@@ -247,20 +296,108 @@ impl Live {
         let Some(mut begun) = self.begun.take() else {
             return;
         };
-        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
-        let inputs = self.inputs(&samples, &begun);
+        let steps = self.steps(&begun);
         let times_s = &self.recording.times_s;
         let end = times_s.partition_point(|t| *t <= until_s).max(self.taken);
-        let block = &inputs[self.taken..end];
-        self.clipped += block.iter().filter(|input| input.clipped).count();
-        begun.path.advance(block, &self.choice.fixes);
+        let block = &steps[self.taken..end];
+        let is_clipped = |step: &&Step| matches!(step.carrier, Carrier::Unmeasured);
+        self.clipped += block.iter().filter(is_clipped).count();
+        begun.advance(block, &self.choice);
         self.begun = Some(begun);
         let old = times_s.partition_point(|t| *t < until_s - KEPT_S).min(end);
         self.recording.times_s.drain(..old);
         self.recording.samples.drain(..old);
         self.taken = end - old;
-        let fixes = &mut self.choice.fixes.fixes;
-        let used = fixes.partition_point(|fix| fix.time_s < until_s - KEPT_S);
-        fixes.drain(..used);
+        let aids = &mut self.choice.aids.aids;
+        let used = aids.partition_point(|aid| aid.time_s < until_s - KEPT_S);
+        aids.drain(..used);
+    }
+}
+
+impl Begun {
+    /// Takes steps.
+    fn advance(&mut self, steps: &[Step], choice: &Choice) {
+        for step in steps {
+            if !self.placed {
+                let positions = choice.aids.positions(step.time_s, choice.start.as_ref());
+                self.place(&positions, step.time_s, choice);
+            }
+            for path in &mut self.paths {
+                path.step(step);
+                path.residuals.clear();
+            }
+        }
+        if self.paths.len() > 1 {
+            self.prune();
+        }
+    }
+
+    /// Moves the path at a time, s, to positions that fixes or ranges show, each at all headings.
+    fn place(&mut self, positions: &[(Vector3<f64>, f64)], time_s: f64, choice: &Choice) {
+        if positions.is_empty() {
+            return;
+        }
+        let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+        let given = choice.start.and_then(|pose| pose.heading_rad);
+        let headings: Vec<f64> =
+            given.map_or_else(|| (0..HEADINGS).map(turn).collect(), |heading| vec![heading]);
+        let all = positions.iter().flat_map(|at| headings.iter().map(move |heading| (at, heading)));
+        let placed = all.map(|(at, heading)| {
+            let mut path = self.paths[0].clone();
+            path.place(*at, None, *heading);
+            path.anchors.clone_from(&self.anchors);
+            path
+        });
+        self.paths = placed.collect();
+        (self.placed, self.jumped_s) = (true, Some(time_s));
+    }
+
+    /// Whether all headings have the position of the best one to the limit, also after further time, s.
+    fn agree(&self, best: &Navigator, ahead_s: f64, limit_m: f64) -> bool {
+        let at = |path: &Navigator| {
+            let state = &path.core.filter().state;
+            state.get(POSITION) + state.get(VELOCITY) * ahead_s
+        };
+        self.paths.iter().all(|path| (at(path) - at(best)).norm() <= limit_m)
+    }
+
+    /// Drops headings that are ruled out, and those that have come to the solution of a more probable one.
+    fn prune(&mut self) {
+        self.paths.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        let mut kept: Vec<Navigator> = Vec::new();
+        for path in self.paths.drain(..) {
+            let is_lost = |best: &Navigator| best.log_likelihood - path.log_likelihood > RULED_OUT;
+            let same = |other: &Navigator| {
+                let apart = path.core.heading() - other.core.heading();
+                let apart = apart.sin().atan2(apart.cos()).abs();
+                let covariance = other.core.solution().attitude_covariance;
+                let [here, there] = [&path, other].map(|path| path.core.filter());
+                let distance = here.state.get(POSITION) - there.state.get(POSITION);
+                let variance =
+                    there.covariance(POSITION).trace() + here.covariance(POSITION).trace();
+                apart < Matrix3::from(covariance)[(2, 2)].sqrt()
+                    && distance.norm_squared() < variance
+            };
+            if !kept.first().is_some_and(is_lost) && !kept.iter().any(same) {
+                kept.push(path);
+            }
+        }
+        self.paths = kept;
+    }
+
+    fn findings(&self) -> Vec<Problem> {
+        let mut found = Vec::new();
+        if let Some(jumped_s) = self.jumped_s {
+            let whose = if self.anchors.is_some() { "anchors" } else { "fixes" };
+            let text = format!("the path was moved to the frame of the {whose} at {jumped_s:.2} s");
+            found.push(Code::Navigation.note(text));
+        }
+        if self.anchors.is_some() && !self.placed {
+            let text = "the path is not yet in the frame of the anchors: no twelve ranges to three of them within 3 s";
+            let remedy = "see whether ranges arrive, or give the start: --start";
+            found.push(Code::Navigation.note(text).remedy(remedy));
+        }
+        found.extend(self.paths.first().map(Navigator::findings).unwrap_or_default());
+        found
     }
 }

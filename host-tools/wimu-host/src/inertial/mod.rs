@@ -18,16 +18,16 @@
 //! # Ok::<(), wimu_host::Problem>(())
 //! ```
 
+mod aid_link;
+pub mod aids;
 mod array;
-mod fix_link;
-mod fixes;
 mod frozen;
-mod headings;
 mod holes;
 mod horizon;
 mod lag;
 mod live;
 mod moves;
+mod navigator;
 mod path;
 mod rates;
 mod report;
@@ -36,27 +36,26 @@ mod sense;
 mod smooth;
 mod steps;
 mod summary;
-mod suspects;
-mod track;
 mod truth;
 mod unit;
+mod uses;
 mod vehicle;
 
 use std::ops::RangeInclusive;
 
+pub use aid_link::{AidLink, LeastDelay};
+pub use aids::{Aid, Aids};
 pub use array::navigate_array;
-pub use fix_link::{FixLink, LeastDelay};
-pub(crate) use fixes::LINE_OF_SIGHT;
-pub use fixes::{Aided, Fix, Fixes};
 pub(crate) use holes::Holes;
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;
-pub use path::{InertialPath, PathPoint, Residual};
-pub(crate) use smooth::Tape;
-pub use summary::Summary;
-pub use truth::consistency;
-pub(crate) use unit::sample;
+pub(crate) use navigator::{Carrier, Navigator, Step};
+pub use path::{InertialPath, PathPoint, Residual, StateFound};
+pub use summary::{AngularRate, Figures, Horizons};
+pub use truth::{Nees, consistency};
+pub(crate) use unit::{run, sample};
+pub use uses::AidUse;
 pub use wimu_nav::navigator::Profile;
 
 use wimu_nav::navigator::Rests;
@@ -159,7 +158,7 @@ pub struct Choice {
     /// Whether a point rests on all samples, or on those up to it alone: for one unit.
     pub smooth: bool,
     /// Measurements of other systems, for one unit. The path is in the frame of their positions.
-    pub fixes: Fixes,
+    pub aids: Aids,
     /// The path ends where it began, with this standard deviation, m, a component.
     pub loop_m: Option<f64>,
 }
@@ -174,7 +173,7 @@ impl Default for Choice {
             rests_s: None,
             start: None,
             smooth: true,
-            fixes: Fixes::default(),
+            aids: Aids::default(),
             loop_m: None,
         }
     }
@@ -197,13 +196,14 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
         }
     };
     path.findings.splice(0..0, recording.findings.iter().cloned());
-    let remedy = choice.fixes.remedy(choice.limit_m);
+    let remedy = choice.aids.remedy(choice.limit_m);
     let remedy = remedy.as_deref().unwrap_or(REMEDY);
     let mut path = path.checked(&recording.name, remedy)?;
     let column = recording.column("Moving");
     let moving = moving(&recording.times_s, column, &recording.truth, &[]);
     compare(&mut path, &recording.truth, &moving);
-    Ok(path)
+    path.source.clone_from(&recording.name);
+    Ok(path.assumed(choice))
 }
 
 /// What to do where no position is valid.
@@ -251,7 +251,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
         );
         path.findings.push(Code::Clock.warning(text));
     }
-    let placed = choice.start.is_some() || choice.fixes.origin().is_some();
+    let placed = choice.start.is_some() || choice.aids.origin().is_some();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();
         let text = format!("{why}: heading is that of the body at the start");

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
+use serde::ser::{Serialize, SerializeStruct, Serializer};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
@@ -47,6 +48,20 @@ pub struct Move {
     pub valid: bool,
 }
 
+/// As JSON without the displacement; the length is null where it is not known.
+impl Serialize for Move {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let known = |value: f64| self.valid.then_some(value);
+        let mut fields = to.serialize_struct("Move", 5)?;
+        fields.serialize_field("from_s", &self.from_s)?;
+        fields.serialize_field("to_s", &self.to_s)?;
+        fields.serialize_field("length_m", &known(self.length_m))?;
+        fields.serialize_field("length_sd_m", &known(self.length_sd_m))?;
+        fields.serialize_field("tilted_deg", &self.tilted_rad.to_degrees())?;
+        fields.end()
+    }
+}
+
 impl Move {
     /// Its first and last sample.
     pub(super) fn span(&self, times_s: &[f64]) -> (usize, usize) {
@@ -56,14 +71,10 @@ impl Move {
 }
 
 /// Replaces what the move alone shows by what the whole recording shows, where it was smoothed.
-pub(super) fn smoothed_moves(
-    moves: &mut [Move],
-    points: &[PathPoint],
-    changes: &[Change],
-    times_s: &[f64],
-) {
+pub(super) fn smoothed_moves(moves: &mut [Move], points: &[PathPoint], changes: &[Change]) {
+    let at = |time_s: f64| points.partition_point(|point| point.time_s < time_s);
     for one in moves {
-        let (from, to) = one.span(times_s);
+        let (from, to) = (at(one.from_s), at(one.to_s));
         let Some(change) = changes.iter().find(|c| (c.from, c.to) == (from, to)) else {
             continue;
         };

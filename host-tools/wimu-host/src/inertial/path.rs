@@ -1,52 +1,75 @@
 //! What a path is, and how it is written.
 
+use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::path::Path as FilePath;
 
 use nalgebra::UnitQuaternion;
+use serde::{Serialize, Serializer};
 use wimu_nav::filter::Filter;
 use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
 
-use super::fixes::Aided;
-use super::truth::consistency;
-use super::{Method, Move};
+use super::summary::Figures;
+use super::truth::{Nees, consistency};
+use super::{AidUse, Method, Move};
 use crate::csv::CsvWriter;
 use crate::digits::significant;
 use crate::localization::Ranged;
 use crate::mcap_file::RosFile;
 use crate::navigation::distance_m;
 use crate::ros::path::{PathTopics, Pose};
-use crate::stats::{median, norm};
+use crate::stats::norm;
 use crate::{Code, OutputFile, Problem, Result, Severity};
 
-/// Where the unit was at a sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Where the unit was at a sample, as JSON with standard deviations in place of covariances.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PathPoint {
     /// Time, s, as in the file.
     pub time_s: f64,
     /// Position, m, east-north-up.
     pub position_m: [f64; 3],
+    /// Covariance of the position, m².
+    #[serde(rename = "sigma_m", serialize_with = "deviations")]
+    pub covariance_m2: [[f64; 3]; 3],
     /// Velocity, m/s.
+    #[serde(rename = "velocity_m_s")]
     pub velocity_mps: [f64; 3],
-    /// Body to navigation axes, W X Y Z.
-    pub quaternion: [f64; 4],
-    /// Angular rate, rad/s, body axes.
-    pub rate_rad_s: [f64; 3],
-    /// Its covariance, (rad/s)²; `None` without an array.
-    pub rate_covariance: Option<[[f64; 3]; 3]>,
     /// Standard deviation of the velocity, m/s, and of the attitude about east, north and up, rad; 0 where it is not
     /// estimated.
+    #[serde(rename = "velocity_sigma_m_s")]
     pub velocity_sd_mps: [f64; 3],
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: [f64; 4],
     /// See [`velocity_sd_mps`](Self::velocity_sd_mps).
+    #[serde(rename = "attitude_sigma_rad")]
     pub attitude_sd_rad: [f64; 3],
-    /// Covariance of the position, m².
-    pub covariance_m2: [[f64; 3]; 3],
+    /// Angular rate, rad/s, body axes.
+    #[serde(skip)]
+    pub rate_rad_s: [f64; 3],
+    /// Its covariance, (rad/s)²; `None` without an array.
+    #[serde(skip)]
+    pub rate_covariance: Option<[[f64; 3]; 3]>,
     /// Standard deviation of the position in space, m, from the samples up to this one alone.
+    #[serde(skip)]
     pub filtered_sd_m: f64,
     /// Whether it is taken to rest: never with ZUPT off.
     pub resting: bool,
     /// Whether the position is of use: known to the limit, no gap since the last rest.
     pub valid: bool,
+}
+
+/// Standard deviation of each component: not a number where the variance is none.
+fn sigma(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
+    let variance = |i: usize| covariance[i][i];
+    // `max` would make 0 of what is not a number.
+    std::array::from_fn(|i| if variance(i) < 0.0 { 0.0 } else { variance(i).sqrt() })
+}
+
+fn deviations<S: Serializer>(
+    covariance: &[[f64; 3]; 3],
+    to: S,
+) -> std::result::Result<S::Ok, S::Error> {
+    sigma(covariance).serialize(to)
 }
 
 impl PathPoint {
@@ -77,9 +100,7 @@ impl PathPoint {
 
     /// Standard deviation of each component, m: not a number where the variance is none.
     pub fn sigma_m(&self) -> [f64; 3] {
-        let variance = |i: usize| self.covariance_m2[i][i];
-        // `max` would make 0 of what is not a number.
-        std::array::from_fn(|i| if variance(i) < 0.0 { 0.0 } else { variance(i).sqrt() })
+        sigma(&self.covariance_m2)
     }
 
     fn is_finite(&self) -> bool {
@@ -101,81 +122,119 @@ impl PathPoint {
 }
 
 /// Innovation of a measurement by another system.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Residual {
     /// Time, s.
     pub time_s: f64,
-    /// What was measured: `position`, `velocity`, `heading`, or `range` with the name of the anchor.
-    pub aid: String,
-    /// Measured less predicted value in m, m/s or rad; of a vector its length.
+    /// Name of the kind of measurement, and where it comes from: of a range the index of the anchor.
+    pub aid: &'static str,
+    /// See [`aid`](Self::aid).
+    pub source: usize,
+    /// Measured less predicted value in SI units; of a vector its length.
     pub value: f64,
     /// Normalised innovation squared, and its degrees of freedom: χ² distributed if the filter is consistent.
     pub statistic: f64,
     /// See [`statistic`](Self::statistic).
     pub dof: usize,
+    /// Weight: 1 or 0, and of a range the probability of a line of sight.
+    pub weight: f64,
     /// Whether it was used. A range without line of sight has little weight.
     pub accepted: bool,
 }
 
-/// A path.
-#[derive(Clone, Debug)]
+/// A state that an aid has added, at the end of the path.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StateFound {
+    /// Kind of the aid, and name of the state.
+    pub name: String,
+    /// SI unit.
+    pub unit: &'static str,
+    /// Estimate, and its standard deviation.
+    pub value: f64,
+    /// See [`value`](Self::value).
+    pub sigma: f64,
+}
+
+/// A path: the JSON of `wimu navigate`, from which text, page, tables and Python come. Axes are east-north-up, from the origin or
+/// in the frame of the aids.
+#[derive(Clone, Debug, Serialize)]
 pub struct InertialPath {
+    /// Where the recording came from.
+    pub source: String,
     /// How it was found.
     pub method: Method,
-    /// One point a sample.
-    pub points: Vec<PathPoint>,
-    /// Index of the point from which position is measured: the last of the first rest.
-    pub origin: usize,
-    /// The moves between rests.
-    pub moves: Vec<Move>,
-    /// What was noticed on the way.
-    pub findings: Vec<Problem>,
-    /// What happened to fixes and to ranges.
-    pub aided: [Aided; 2],
-    /// What aids measured less what the forward filter predicted, used or not.
-    pub residuals: Vec<Residual>,
-    /// What ranges show of their anchors, of a path from ranges.
-    pub ranging: Option<Ranged>,
-    /// Points known no better than this, m, are not valid.
-    pub limit_m: f64,
+    /// Value of the option `--zupt`; null for ranges.
+    pub zupt: Option<&'static str>,
+    /// Value of the option `--profile`; null for an array and for ranges.
+    pub profile: Option<&'static str>,
     /// Whether the points rest on all samples ([`Choice::smooth`](super::Choice::smooth)).
     pub smoothed: bool,
     /// Whether the angular rate of an array rests on all samples.
+    #[serde(skip)]
     pub smoothed_rate: bool,
+    /// One point a sample.
+    #[serde(skip)]
+    pub points: Vec<PathPoint>,
+    /// Index of the point from which position is measured: the last of the first rest.
+    #[serde(skip)]
+    pub origin: usize,
+    /// Points known no better than this, m, are not valid.
+    #[serde(skip)]
+    pub limit_m: f64,
+    /// What the points show.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// What happened to the aids, by their kind.
+    pub aids: BTreeMap<&'static str, AidUse>,
+    /// States that aids have added.
+    pub states: Vec<StateFound>,
+    /// The moves between rests.
+    pub moves: Vec<Move>,
+    /// What aids measured less what the forward filter predicted, used or not.
+    #[serde(skip)]
+    pub residuals: Vec<Residual>,
+    /// What ranges show of their anchors, of a path from ranges.
+    #[serde(flatten)]
+    pub ranging: Option<Ranged>,
     /// NEES of the position at each valid sample that has truth and moves, which is taken to be right to 1 mm; both
     /// begin at the same place and heading.
-    pub nees: Vec<f64>,
+    pub nees: Nees,
     /// NEES of an array's angular rate at each valid sample that moves, where the truth tells it.
-    pub rate_nees: Vec<f64>,
+    pub rate_nees: Nees,
     /// That of its velocity.
-    pub velocity_nees: Vec<f64>,
+    pub velocity_nees: Nees,
     /// Where the unit truly was, m, in the path's axes, at each sample that has truth; empty without.
+    #[serde(skip)]
     pub truth_m: Vec<Option<[f64; 3]>>,
-    /// Whether the truth has no heading, and the one was taken that fits the path best: NEES then says
-    /// nothing of the heading.
-    pub heading_fitted: bool,
+    /// What was noticed on the way.
+    #[serde(skip)]
+    pub findings: Vec<Problem>,
 }
 
 impl InertialPath {
     /// A path without moves, not yet compared with any truth.
     pub(crate) fn new(method: Method, points: Vec<PathPoint>, origin: usize, limit_m: f64) -> Self {
         Self {
+            source: String::new(),
             method,
-            points,
-            origin,
-            moves: Vec::new(),
-            findings: Vec::new(),
-            aided: Default::default(),
-            residuals: Vec::new(),
-            ranging: None,
-            limit_m,
+            zupt: None,
+            profile: None,
             smoothed: false,
             smoothed_rate: false,
-            nees: Vec::new(),
-            rate_nees: Vec::new(),
-            velocity_nees: Vec::new(),
+            points,
+            origin,
+            limit_m,
+            figures: Figures::default(),
+            aids: BTreeMap::new(),
+            states: Vec::new(),
+            moves: Vec::new(),
+            residuals: Vec::new(),
+            ranging: None,
+            nees: Nees::default(),
+            rate_nees: Nees::default(),
+            velocity_nees: Nees::default(),
             truth_m: Vec::new(),
-            heading_fitted: false,
+            findings: Vec::new(),
         }
     }
 
@@ -218,12 +277,6 @@ impl InertialPath {
         Err(Code::DataRefused.error(message, remedy).at(name))
     }
 
-    /// Time from the first point to the last, s.
-    pub fn duration_s(&self) -> f64 {
-        let ends = self.points.first().zip(self.points.last());
-        ends.map_or(0.0, |(first, last)| last.time_s - first.time_s)
-    }
-
     /// Length of the path over its valid points, m.
     pub fn distance_m(&self) -> f64 {
         self.points
@@ -235,24 +288,9 @@ impl InertialPath {
             + 0.0
     }
 
-    /// Angular rate of an array at valid points in motion, rad/s rms, and the median of its standard deviation in space.
-    pub fn angular_rate(&self) -> Option<(f64, f64)> {
-        let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
-        let rates = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w);
-        let sigmas = moving().filter_map(PathPoint::rate_sigma_rad_s).map(norm);
-        let sigma = median(sigmas.filter(|s| s.is_finite()))?;
-        let rms = (rates.sum::<f64>() / moving().count() as f64).sqrt();
-        Some((rms, sigma))
-    }
-
-    /// Share of the points that are valid.
-    pub fn valid_share(&self) -> f64 {
-        self.points.iter().filter(|p| p.valid).count() as f64 / self.points.len().max(1) as f64
-    }
-
     /// Median NEES of the moving samples and the share below 7.81 (95 % of a right covariance), where there is truth.
     pub fn consistency(&self) -> Option<(f64, f64)> {
-        consistency(&self.nees)
+        consistency(&self.nees.all)
     }
 
     /// Writes the points as CSV, or as [`write_mcap`](Self::write_mcap) where the file's name ends in `.mcap`.
@@ -261,10 +299,10 @@ impl InertialPath {
     /// `file_unreadable`, `file_failed`.
     pub fn write(&self, file: &FilePath) -> Result<()> {
         let extension = file.extension();
-        match extension.is_some_and(|e| e.eq_ignore_ascii_case("mcap")) {
-            true => self.write_mcap(file),
-            false => self.write_csv(file),
+        if extension.is_some_and(|e| e.eq_ignore_ascii_case("mcap")) {
+            return self.write_mcap(file);
         }
+        self.write_csv(file)
     }
 
     /// Writes the valid points as ROS 2 messages: `/odom`, `/path` (at most 1000 poses, 1 s apart or more), `/tf` from

@@ -1,11 +1,12 @@
 //! Report of a path: plan, path in space, coordinates, velocity and standard deviation.
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 use super::{InertialPath, PathPoint};
 use crate::chart::{Band, Chart, Series, Style};
 use crate::digits::significant;
-use crate::html::Report;
+use crate::document::Document;
 
 /// Least standard deviation that is drawn, m.
 const LEAST_M: f64 = 1e-4;
@@ -18,8 +19,8 @@ impl InertialPath {
     /// A page with the result of the path, its charts and `text`, that of the command.
     ///
     /// # Errors
-    /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Report {
+    /// Those of [`Document`].
+    pub fn page(&self, source: &str, text: &str) -> Document {
         let mut page = self.head(source, text);
         let anchors = self.ranging.iter().flat_map(|ranging| &ranging.anchors);
         let positions: Vec<_> = anchors.clone().map(|anchor| anchor.position_m).collect();
@@ -38,34 +39,37 @@ impl InertialPath {
 
     /// The residuals of each aid over time.
     fn innovations(&self) -> Option<Chart> {
-        let mut aids: Vec<&str> = self.residuals.iter().map(|r| r.aid.as_str()).collect();
-        aids.sort_unstable();
-        aids.dedup();
-        let of = |aid: &str| {
-            let own = self.residuals.iter().filter(|r| r.aid == aid);
-            own.map(|r| (r.time_s, r.value)).collect()
-        };
-        let series: Vec<Series> = aids.iter().map(|aid| Series::dots(aid, of(aid))).collect();
+        let mut aids = BTreeMap::<String, Vec<(f64, f64)>>::new();
+        for residual in &self.residuals {
+            let anchor = self.ranging.as_ref().and_then(|found| found.anchors.get(residual.source));
+            let name = match anchor {
+                Some(anchor) => format!("{} {}", residual.aid, anchor.id),
+                None => residual.aid.to_owned(),
+            };
+            aids.entry(name).or_default().push((residual.time_s, residual.value));
+        }
+        let series = aids.into_iter().map(|(aid, values)| Series::dots(&aid, values));
+        let series: Vec<Series> = series.collect();
         let title = "Residuals of the aids: measured less predicted";
         (!series.is_empty()).then(|| Chart {
             note: "Predicted by the forward filter, with the estimated bias and scale of each anchor. Ranges without line of sight are too long."
                 .to_owned(),
-            ..Chart::new(title, "time, s", "m, m/s, rad", series)
+            ..Chart::new(title, "time, s", "SI units", series)
         })
     }
 
     /// The page without charts.
-    fn head(&self, source: &str, text: &str) -> Report {
-        let mut page = Report::new(format!("Path of {source}"));
+    fn head(&self, source: &str, text: &str) -> Document {
+        let mut page = Document::new(format!("Path of {source}"));
         let (mut lines, last) = (text.lines(), self.points.iter().rfind(|point| point.valid));
         page.result(lines.next().unwrap_or_default());
         if let Some(last) = last {
-            let length = significant(self.distance_m(), 3);
+            let length = significant(self.figures.distance_m, 3);
             page.key("path, while valid", &format!("{length} m"));
             let name = format!("1 σ at {:.1} s, the last valid point", last.time_s);
             page.key(&name, &format!("± {} m", significant(last.sd_m(), 2)));
         }
-        let share = 100.0 * self.valid_share();
+        let share = 100.0 * self.figures.valid_share;
         let name = format!("of the points valid: σ below {} m", self.limit_m);
         page.key(&name, &format!("{share:.0} %"));
         page.printed(text).findings(&self.findings);

@@ -16,6 +16,7 @@ const BLOCK_BYTES: usize = 800 << 20;
 const OVERLAP: f64 = 0.2;
 
 /// What the smoother knows of the displacement between two samples.
+#[derive(Clone, Debug)]
 pub(crate) struct Change {
     /// The samples.
     pub from: usize,
@@ -25,6 +26,7 @@ pub(crate) struct Change {
 }
 
 /// What a navigator records, or nothing.
+#[derive(Clone, Debug)]
 pub(crate) struct Tape {
     /// Sample of each epoch of the log.
     samples: Vec<usize>,

@@ -1,67 +1,58 @@
-//! The result of a path: as `--json` prints it, and as text.
+//! What a path shows, and the path as text.
 
 use serde::Serialize;
 
 use super::horizon::Horizon;
-use super::{Aided, Choice, InertialPath, Method, Move, Profile, Zupt, consistency};
+use super::truth::consistency;
+use super::{AidUse, Choice, InertialPath, Method, Move, PathPoint, Profile, Zupt};
 use crate::digits::{east_north_up, significant};
 use crate::localization::{Parameter, Ranged};
 use crate::plural::counted;
-use crate::stats::median;
+use crate::stats::{median, norm};
 
-/// A path, as `--json` prints it.
-#[derive(Debug, Serialize)]
-pub struct Summary {
-    source: String,
-    method: Method,
-    /// Value of the option `--zupt`; null for ranges.
-    zupt: Option<&'static str>,
-    /// Value of the option `--profile`; null for an array and for ranges.
-    profile: Option<&'static str>,
-    /// Whether positions and σ rest on all samples. `horizon` is that of the forward filter.
-    smoothed: bool,
+/// What the points of a path show.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Figures {
     /// That of an array while it moves.
-    angular_rate: Option<AngularRate>,
-    duration_s: f64,
+    pub angular_rate: Option<AngularRate>,
+    /// From the first point to the last, s.
+    pub duration_s: f64,
     /// End of the first rest, where position and velocity are zero by definition.
-    origin_s: Option<f64>,
+    pub origin_s: Option<f64>,
     /// Length of the path over the valid samples.
-    distance_m: f64,
-    final_position_m: [f64; 3],
-    final_sigma_m: [f64; 3],
-    final_valid: bool,
+    pub distance_m: f64,
+    /// Position at the end, m.
+    pub final_position_m: [f64; 3],
+    /// Its standard deviations, m.
+    pub final_sigma_m: [f64; 3],
+    /// Whether it is known to the limit.
+    pub final_valid: bool,
     /// Median standard deviation of the position in space.
-    median_sigma_m: Option<f64>,
-    valid_share: f64,
-    horizon: Horizons,
-    rests: usize,
-    rests_s: f64,
-    /// Use of `--fixes` and `--ranges`; null without.
-    fixes: Option<Aided>,
-    ranges: Option<Aided>,
-    nees: Option<Nees>,
-    /// NEES of an array's angular rate and velocity.
-    rate_nees: Option<Nees>,
-    velocity_nees: Option<Nees>,
-    /// Moves between rests.
-    moves: Vec<MoveFound>,
-    /// Ranges and anchors, of a path from ranges.
-    #[serde(flatten)]
-    ranging: Option<Ranged>,
+    pub median_sigma_m: Option<f64>,
+    /// Share of the points that are valid.
+    pub valid_share: f64,
+    /// From samples up to then alone.
+    pub horizon: Horizons,
+    /// Number of rests at which zero velocity was used, and their time, s.
+    pub rests: usize,
+    /// See [`rests`](Self::rests).
+    pub rests_s: f64,
 }
 
-#[derive(Debug, Serialize)]
-struct AngularRate {
-    rms_rad_s: f64,
+/// Angular rate of an array at valid points in motion.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AngularRate {
+    /// Root mean square, rad/s.
+    pub rms_rad_s: f64,
     /// Median of the standard deviation in space.
-    sigma_rad_s: f64,
+    pub sigma_rad_s: f64,
     /// Whether it rests on all samples.
-    smoothed: bool,
+    pub smoothed: bool,
 }
 
 /// Motion time after which the position's standard deviation exceeds a limit or the position is lost; null if never.
-#[derive(Debug, Serialize)]
-struct Horizons {
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Horizons {
     to_0_1_m_s: Option<f64>,
     to_1_m_s: Option<f64>,
     limit_m: f64,
@@ -70,86 +61,44 @@ struct Horizons {
     ends: Vec<End>,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 struct End {
     limit_m: f64,
     #[serde(flatten)]
     horizon: Horizon,
 }
 
-/// A move between two rests.
-#[derive(Debug, Serialize)]
-struct MoveFound {
-    from_s: f64,
-    to_s: f64,
-    /// Null where it is not known: without a gyroscope after a rotation, or contradicted by the rest at its end.
-    length_m: Option<f64>,
-    length_sd_m: Option<f64>,
-    tilted_deg: f64,
-}
-
-impl MoveFound {
-    fn of(found: &Move) -> Self {
-        let known = |value: f64| found.valid.then_some(value);
-        Self {
-            from_s: found.from_s,
-            to_s: found.to_s,
-            length_m: known(found.length_m),
-            length_sd_m: known(found.length_sd_m),
-            tilted_deg: found.tilted_rad.to_degrees(),
-        }
-    }
-}
-
-#[derive(Debug, Serialize)]
-struct Nees {
-    samples: usize,
-    median: f64,
-    share_below_7_81: f64,
-    /// Heading of the truth: `truth`, or `fitted` to the path if the truth has no heading.
-    heading: &'static str,
-}
-
-impl Nees {
-    fn of(all: &[f64], path: &InertialPath) -> Option<Self> {
-        consistency(all).map(|(median, share_below_7_81)| Self {
-            samples: all.len(),
-            median,
-            share_below_7_81,
-            heading: if path.heading_fitted { "fitted" } else { "truth" },
-        })
-    }
-}
-
 impl InertialPath {
-    /// The result. `choice` is that of a path from inertial samples.
-    pub fn summary(&self, source: String, choice: Option<&Choice>) -> Summary {
-        let last = self.points.last();
-        let rests = self.rests();
-        let profiled = choice.filter(|_| self.method != Method::Array);
+    /// The path with its figures, at its end, and with what was assumed of inertial samples.
+    #[must_use]
+    pub(crate) fn assumed(mut self, choice: &Choice) -> Self {
+        let is_unit = self.method != Method::Array;
+        self.zupt = Some(choice.zupt.name());
+        self.profile = is_unit.then(|| profile(choice.profile).0);
+        self.ended()
+    }
+
+    /// The path with its figures.
+    #[must_use]
+    pub(crate) fn ended(mut self) -> Self {
+        let points = &self.points;
+        let (last, rests) = (points.last(), self.rests());
+        let sigmas = points.iter().map(PathPoint::sd_m);
         let ends = self.limits().into_iter().filter_map(|limit_m| {
             let horizon = self.horizon(limit_m)?;
             Some(End { limit_m, horizon })
         });
-        Summary {
-            source,
-            method: self.method,
-            zupt: choice.map(|choice| choice.zupt.name()),
-            profile: profiled.map(|choice| profile(choice.profile).0),
-            smoothed: self.smoothed,
-            angular_rate: self.angular_rate().map(|(rms_rad_s, sigma_rad_s)| AngularRate {
-                rms_rad_s,
-                sigma_rad_s,
-                smoothed: self.smoothed_rate,
-            }),
-            duration_s: self.duration_s(),
-            origin_s: self.points.get(self.origin).map(|p| p.time_s),
+        let valid = points.iter().filter(|point| point.valid).count();
+        self.figures = Figures {
+            angular_rate: self.angular_rate(),
+            duration_s: points.first().zip(last).map_or(0.0, |(a, b)| b.time_s - a.time_s),
+            origin_s: points.get(self.origin).map(|p| p.time_s),
             distance_m: self.distance_m(),
             final_position_m: last.map(|p| p.position_m).unwrap_or_default(),
-            final_sigma_m: last.map(|p| p.sigma_m()).unwrap_or_default(),
+            final_sigma_m: last.map(PathPoint::sigma_m).unwrap_or_default(),
             final_valid: last.is_some_and(|p| p.valid),
-            median_sigma_m: self.median_sigma_m(),
-            valid_share: self.valid_share(),
+            median_sigma_m: median(sigmas).filter(|sd| sd.is_finite()),
+            valid_share: valid as f64 / points.len().max(1) as f64,
             horizon: Horizons {
                 to_0_1_m_s: self.horizon_s(0.1),
                 to_1_m_s: self.horizon_s(1.0),
@@ -159,19 +108,17 @@ impl InertialPath {
             },
             rests: rests.rests,
             rests_s: rests.lasted_s,
-            fixes: some(self.aided[0]),
-            ranges: some(self.aided[1]),
-            nees: Nees::of(&self.nees, self),
-            rate_nees: Nees::of(&self.rate_nees, self),
-            velocity_nees: Nees::of(&self.velocity_nees, self),
-            moves: self.moves.iter().map(MoveFound::of).collect(),
-            ranging: self.ranging.clone(),
-        }
+        };
+        self
     }
 
-    /// Median standard deviation of the position in space, m.
-    fn median_sigma_m(&self) -> Option<f64> {
-        median(self.points.iter().map(|point| point.sd_m())).filter(|sd| sd.is_finite())
+    fn angular_rate(&self) -> Option<AngularRate> {
+        let moving = || self.points.iter().filter(|p| p.valid && !p.resting);
+        let squares = moving().flat_map(|p| p.rate_rad_s).map(|w| w * w).sum::<f64>();
+        let sigmas = moving().filter_map(PathPoint::rate_sigma_rad_s).map(norm);
+        let sigma_rad_s = median(sigmas.filter(|s| s.is_finite()))?;
+        let rms_rad_s = (squares / moving().count() as f64).sqrt();
+        Some(AngularRate { rms_rad_s, sigma_rad_s, smoothed: self.smoothed_rate })
     }
 
     /// Position limits of the horizons, m.
@@ -208,8 +155,7 @@ impl InertialPath {
     /// From where position is measured.
     fn origin_text(&self, choice: &Choice, has_fixes: bool) -> String {
         // Those of a link are not part of the choice.
-        let of_fixes =
-            has_fixes && (choice.fixes.fixes.is_empty() || choice.fixes.origin().is_some());
+        let of_fixes = has_fixes && (choice.aids.aids.is_empty() || choice.aids.origin().is_some());
         match self.points.get(self.origin) {
             _ if choice.start.is_some() => "origin: that of --start\n".to_owned(),
             _ if of_fixes => "origin: that of the fixes\n".to_owned(),
@@ -222,14 +168,13 @@ impl InertialPath {
 
     /// What was assumed of rests and motion.
     fn assumed_text(&self, choice: &Choice) -> String {
-        let rests = self.rests();
         let zero = match choice.zupt {
             Zupt::Stated => "velocity zero",
             Zupt::Assumed => "constant velocity of 0 ± 0.1 m/s",
             Zupt::Off => "nothing",
         };
-        let rested = counted(rests.rests, "rest");
-        let mut text = format!("assumed: {zero} at {rested} ({:.1} s)", rests.lasted_s);
+        let rested = counted(self.figures.rests, "rest");
+        let mut text = format!("assumed: {zero} at {rested} ({:.1} s)", self.figures.rests_s);
         if self.method != Method::Array {
             let (name, bound) = profile(choice.profile);
             text += &format!("; --profile {name}: {bound}");
@@ -253,8 +198,8 @@ impl InertialPath {
         };
         text += &format!(
             "path: {:.3} m in {:.1} s, {}{}; {:.0} % of the samples are valid (σ below {} m)\n",
-            self.distance_m(),
-            self.duration_s(),
+            self.figures.distance_m,
+            self.figures.duration_s,
             match self.method {
                 Method::Strapdown => "with a gyroscope",
                 Method::Tilt => "without a gyroscope",
@@ -264,7 +209,7 @@ impl InertialPath {
                 Method::RangesInertial => "from ranges and a gyroscope",
             },
             if self.smoothed { ", smoothed" } else { "" },
-            100.0 * self.valid_share(),
+            100.0 * self.figures.valid_share,
             self.limit_m
         );
         let horizons = self.limits().into_iter().map(|limit| match self.horizon(limit) {
@@ -281,10 +226,12 @@ impl InertialPath {
 
     /// The result first, then what it rests on, then remarks. `choice` is that of a path from inertial samples.
     pub fn text(&self, choice: Option<&Choice>, has_fixes: bool) -> String {
-        let mut text = match self.angular_rate() {
-            Some((rate, sd)) => format!(
-                "angular rate: {rate:.3} rad/s rms in motion ± {sd:.3} rad/s (median 1 σ){}\n",
-                if self.smoothed_rate { ", smoothed" } else { "" }
+        let mut text = match &self.figures.angular_rate {
+            Some(rate) => format!(
+                "angular rate: {:.3} rad/s rms in motion ± {:.3} rad/s (median 1 σ){}\n",
+                rate.rms_rad_s,
+                rate.sigma_rad_s,
+                if rate.smoothed { ", smoothed" } else { "" }
             ),
             None => String::new(),
         };
@@ -293,22 +240,24 @@ impl InertialPath {
             text += &self.assumed_text(choice);
             text += &self.origin_text(choice, has_fixes);
         }
-        for (kind, aided) in ["fixes", "ranges"].iter().zip(self.aided) {
-            if let Some(Aided { used, rejected, late }) = some(aided) {
-                text += &format!("{kind}: {used} used, {rejected} rejected, {late} late\n");
-            }
+        if self.ranging.is_none() {
+            text.extend(self.aids.values().map(AidUse::text));
+        }
+        for state in &self.states {
+            let [value, sd] = [state.value, state.sigma].map(|value| significant(value, 3));
+            text += &format!("{}: {value} ± {sd} {}\n", state.name, state.unit);
         }
         text += &self.moves_text();
         if let Some(ranging) = &self.ranging {
             text += &ranging_text(ranging, self.method);
         }
-        let fitted = if self.heading_fitted { ", heading fitted" } else { "" };
+        let fitted = if self.nees.is_heading_fitted { ", heading fitted" } else { "" };
         for (what, nees) in [
             ("", &self.nees),
             ("angular rate, ", &self.rate_nees),
             ("velocity, ", &self.velocity_nees),
         ] {
-            if let Some((median, share)) = consistency(nees) {
+            if let Some((median, share)) = consistency(&nees.all) {
                 text += &format!(
                     "against the truth{fitted}, in motion: {what}NEES median {median:.2} (expected 2.37), below 7.81 in {:.0} % (expected \
                      95 %)\n",
@@ -322,10 +271,6 @@ impl InertialPath {
 
 /// Moves that are listed in the text.
 const LISTED: usize = 4;
-
-fn some(aided: Aided) -> Option<Aided> {
-    (aided != Aided::default()).then_some(aided)
-}
 
 /// Value of the option, and what it assumes.
 fn profile(profile: Profile) -> (&'static str, &'static str) {

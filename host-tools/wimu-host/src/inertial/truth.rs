@@ -1,8 +1,34 @@
 //! A path against the true one.
 
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
 use super::{InertialPath, PathPoint};
 use crate::motion::{Truth, heading_rad, nees};
 use crate::stats::median;
+
+/// Normalised estimation errors squared, as JSON their median and their share below 7.81; null of none.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Nees {
+    /// Of each sample.
+    pub all: Vec<f64>,
+    /// Whether the truth has no heading, and the one was taken that fits the path best: they then say nothing of it.
+    pub is_heading_fitted: bool,
+}
+
+impl Serialize for Nees {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let Some((median, below)) = consistency(&self.all) else {
+            return to.serialize_none();
+        };
+        let mut map = to.serialize_map(Some(4))?;
+        map.serialize_entry("samples", &self.all.len())?;
+        map.serialize_entry("median", &median)?;
+        map.serialize_entry("share_below_7_81", &below)?;
+        let heading = if self.is_heading_fitted { "fitted" } else { "truth" };
+        map.serialize_entry("heading", heading)?;
+        map.end()
+    }
+}
 
 /// Median NEES of three components and the share below 7.81 (95 % of a right covariance); `None` of none.
 pub fn consistency(nees: &[f64]) -> Option<(f64, f64)> {
@@ -93,7 +119,6 @@ pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>], moving: 
     let moved = usable.iter().zip(&both).filter(moves);
     let all = moved.map(|(_, both)| of(both)).collect();
     let truth_m = truth.iter().map(|t| Some(in_path(t.as_ref()?))).collect();
-    path.heading_fitted = fitted;
     path.truth_m = truth_m;
-    path.nees = all;
+    path.nees = Nees { all, is_heading_fitted: fitted };
 }

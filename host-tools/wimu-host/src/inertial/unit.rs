@@ -4,16 +4,16 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 use wimu_nav::navigator::{
-    Motion, Navigator, Profile, Rests, Sample, Settings, Start, VehicleErrors,
+    self as core, Motion, Profile, Rests, Sample, Settings, Start, VehicleErrors,
 };
 use wimu_nav::stance::stances;
 
-use super::fixes::{Fix, Fixes};
-use super::moves::{moves, smoothed_moves};
+use super::aids::Aid;
+use super::aids::position::LOOP;
+use super::moves::moves;
+use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
-use super::smooth::Tape;
 use super::steps::steps;
-use super::track::{FIRST_REST_S, Input, Track, counted_findings};
 use super::{Choice, InertialPath, Method};
 use crate::motion::{MotionRecording, UnitSample, median_step_s};
 use crate::plural::counted;
@@ -104,71 +104,34 @@ impl<'a> Unit<'a> {
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
         self.accepts(choice, method)?;
         let samples: Vec<Sample> = self.samples.iter().map(sample).collect();
-        let inputs = self.inputs(&samples, choice, method);
-        let rests: Vec<bool> = inputs.iter().map(|input| input.resting).collect();
+        let steps = self.steps(&samples, choice, method);
+        let rests = rests_of(&steps);
         let mut moves = moves(self, &samples, &rests, choice, method);
-        // Without a gyroscope the smoother gains nothing: 0.1 % of the error (score_navigation).
-        let smooth = choice.smooth && method == Method::Strapdown;
-        let spans = moves.iter().map(|one| one.span(self.times_s));
-        choice.fixes.within(self.times_s).map_err(|error| error.at(self.name))?;
-        let fixes = self.fixes(choice);
+        choice.aids.within(self.times_s).map_err(|error| error.at(self.name))?;
         let at_rest_first = self.first_rest(&rests).is_some();
-        let start = self.start(&samples, &rests, choice)?;
-        let shown = choice.fixes.origin().filter(|_| choice.start.is_none());
-        let moving = choice.fixes.velocity(self.times_s[0]).filter(|_| !at_rest_first);
-        let placed = shown.map(|fix| {
-            let heading = self.heading(&start, &inputs, choice, (fix, moving));
-            (fix.position(), heading)
-        });
-        let begin_s = self.times_s[0];
-        let mut track = Track::new(start, choice, begin_s, at_rest_first);
-        let mut tape = Tape::new(smooth, spans.collect(), &mut track.navigator);
-        if let Some((position, heading)) = placed {
-            track.place(position, moving, heading);
+        let mut navigator = self.placed(&self.start(&samples, &rests, choice)?, &steps, choice);
+        let has_origin = navigator.has_origin();
+        // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
+        let smooth = choice.smooth && method == Method::Strapdown;
+        navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
+        run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
+        let (mut points, contradicted) = navigator.finish(&mut moves);
+        let from = navigator.origin.unwrap_or(0);
+        for (k, point) in points.iter_mut().enumerate() {
+            point.valid &= point.sd_m() <= choice.limit_m && (has_origin || k >= from);
         }
-        let has_origin = track.has_origin();
-        let mut points = Vec::with_capacity(samples.len());
-        for input in &inputs {
-            points.push(track.step(input, &fixes));
-            tape.mark(&mut track.navigator, &mut points);
-        }
-        let origin = track.origin;
-        let from = origin.unwrap_or(0);
-        let mut findings = fixes.findings.clone();
-        findings.extend(track.findings(None));
-        findings.extend(track.aiding.outside(fixes.fixes.len()));
-        let aided = [track.aiding.fixes, track.aiding.ranges];
-        let residuals = std::mem::take(&mut track.aiding.residuals);
-        tape.finish(&mut track.navigator, &mut points);
-        smoothed_moves(&mut moves, &points, &tape.changes, self.times_s);
-        findings.extend(track.segments.finish(&mut points, &mut moves));
-        for point in &mut points {
-            point.valid &= point.sd_m() <= choice.limit_m;
-        }
-        if !has_origin {
-            for point in &mut points[..from] {
-                point.valid = false;
-            }
-        }
-        if let (false, Some(origin)) = (at_rest_first, origin) {
+        let mut findings = choice.aids.findings.clone();
+        findings.extend(navigator.findings());
+        findings.extend(contradicted);
+        if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
             let text = format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
                 self.times_s[origin]
             );
             findings.insert(0, Code::Navigation.note(text));
         }
-        let contradicted =
-            "later samples contradict the path by far more than σ: it is not smoothed across";
-        findings.extend(counted_findings(
-            Code::Navigation,
-            "time",
-            &[(tape.contradictions, contradicted)],
-        ));
-        findings.extend(counted_findings(
-            Code::Navigation,
-            "clipped sample",
-            &[(self.clipped.len(), "not used: σ grows there")],
-        ));
+        let clipped = [(self.clipped.len(), "not used: σ grows there")];
+        findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
         if choice.profile == Profile::Hand && method == Method::Strapdown {
             findings.extend(self.foot(&samples));
         }
@@ -179,9 +142,45 @@ impl<'a> Unit<'a> {
         path.moves = moves;
         path.smoothed = smooth;
         path.findings = findings;
-        path.aided = aided;
-        path.residuals = residuals;
+        path.states = navigator.states();
+        path.aids = navigator.uses;
+        path.residuals = navigator.residuals;
         Ok(path)
+    }
+
+    /// A navigator at the first sample, in the frame of the fixes where there are some, at the heading that explains those of
+    /// the first minutes best.
+    fn placed(&self, start: &core::Navigator, steps: &[Step], choice: &Choice) -> Navigator {
+        let at_rest = self.first_rest(&rests_of(steps)).is_some();
+        let framed = choice.start.is_some();
+        let begin = |at_rest| Navigator::new(start.clone(), self.times_s[0], at_rest, framed);
+        let Some(fix) = choice.aids.origin().filter(|_| !framed) else {
+            return begin(at_rest);
+        };
+        let velocity = choice.aids.velocity(self.times_s[0]).filter(|_| !at_rest);
+        let placed = |heading: f64, at_rest| {
+            let mut navigator = begin(at_rest);
+            navigator.place(fix.position(), velocity, heading);
+            navigator
+        };
+        let until = steps.partition_point(|step| step.time_s < fix.time_s + HEADING_TRIAL_S);
+        let trial = |heading: f64| {
+            let mut navigator = placed(heading, false);
+            run(&mut navigator, &choice.aids.aids, None, &steps[..until]);
+            (navigator.log_likelihood, heading)
+        };
+        let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+        let tried = (0..HEADINGS).rev().map(turn).map(trial);
+        let best = tried.max_by(|a, b| a.0.total_cmp(&b.0));
+        placed(best.map_or(0.0, |(_, heading)| heading), at_rest)
+    }
+
+    /// A navigator of a stream, at its first sample.
+    pub fn begin(&self, samples: &[Sample], steps: &[Step], choice: &Choice) -> Result<Navigator> {
+        let rests = rests_of(steps);
+        let start = self.start(samples, &rests, choice)?;
+        let at_rest = self.first_rest(&rests).is_some();
+        Ok(Navigator::new(start, self.times_s[0], at_rest, choice.start.is_some()))
     }
 
     /// Whether the sensors are those that the choice needs.
@@ -191,7 +190,7 @@ impl<'a> Unit<'a> {
     pub fn accepts(&self, choice: &Choice, method: Method) -> Result<()> {
         let needed = match choice.profile {
             Profile::Foot => Some("--profile foot"),
-            _ => choice.fixes.ranging.as_ref().map(|_| "--ranges beside a board"),
+            _ => choice.aids.ranging.as_ref().map(|_| "--ranges beside a board"),
         };
         if let (Some(what), true) = (needed, method != Method::Strapdown) {
             let message = format!("{what} needs a gyroscope");
@@ -207,58 +206,30 @@ impl<'a> Unit<'a> {
     }
 
     /// The samples with what windows about them show of the motion.
-    pub fn inputs<'s>(
-        &self,
-        samples: &'s [Sample],
-        choice: &Choice,
-        method: Method,
-    ) -> Vec<Input<'s>> {
+    pub fn steps(&self, samples: &[Sample], choice: &Choice, method: Method) -> Vec<Step> {
         let rests = self.rests(samples, choice, method);
         let stances = match choice.profile {
             Profile::Foot if method == Method::Strapdown => self.stances(samples, choice),
             _ => vec![None; samples.len()],
         };
-        let inputs = samples.iter().enumerate().map(|(k, sample)| Input {
+        // A foot's shocks are short: the largest reading is nearer to them than none.
+        let is_left_out =
+            |k: &usize| choice.profile != Profile::Foot && self.clipped.binary_search(k).is_ok();
+        let steps = samples.iter().enumerate().map(|(k, sample)| Step {
             time_s: self.times_s[k],
-            sample,
+            step_s: sample.step_s,
+            carrier: if is_left_out(&k) { Carrier::Unmeasured } else { Carrier::Sample(*sample) },
             resting: rests[k],
             stance_mps: stances[k],
-            clipped: self.clipped.binary_search(&k).is_ok(),
         });
-        inputs.collect()
+        steps.collect()
     }
 
-    /// The fixes, and the end of a path that closes.
-    fn fixes(&self, choice: &Choice) -> Fixes {
-        let mut fixes = choice.fixes.clone();
-        if let (Some(sd_m), Some(last)) = (choice.loop_m, self.times_s.last()) {
-            let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
-            fixes.fixes.push(Fix { position_m: start, position_sd_m: [sd_m; 3], ..Fix::at(*last) });
-        }
-        fixes
-    }
-
-    /// The heading at the start that explains the fixes of the first minutes best, rad.
-    fn heading(
-        &self,
-        start: &Navigator,
-        inputs: &[Input],
-        choice: &Choice,
-        (fix, velocity): (&Fix, Option<(Vector3<f64>, f64)>),
-    ) -> f64 {
-        let until_s = fix.time_s + HEADING_TRIAL_S;
-        let trial = |heading: &f64| {
-            let mut track = Track::new(start.clone(), choice, self.times_s[0], false);
-            track.place(fix.position(), velocity, *heading);
-            for input in inputs.iter().take_while(|input| input.time_s < until_s) {
-                track.step(input, &choice.fixes);
-            }
-            track.aiding.log_likelihood
-        };
-        let of = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
-        let tried = (0..HEADINGS).rev().map(of).map(|heading| (heading, trial(&heading)));
-        let best = tried.max_by(|a, b| a.1.total_cmp(&b.1));
-        best.map_or(0.0, |(heading, _)| heading)
+    /// The end of a path that closes.
+    fn closed(&self, choice: &Choice) -> Option<Aid> {
+        let (sd_m, last_s) = choice.loop_m.zip(self.times_s.last())?;
+        let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
+        Some(Aid::of(&LOOP, *last_s, &start, sd_m))
     }
 
     /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.
@@ -353,7 +324,12 @@ impl<'a> Unit<'a> {
         (at_start && lasts_s >= FIRST_REST_S).then_some(rest.end)
     }
 
-    pub fn start(&self, samples: &[Sample], rests: &[bool], choice: &Choice) -> Result<Navigator> {
+    pub fn start(
+        &self,
+        samples: &[Sample],
+        rests: &[bool],
+        choice: &Choice,
+    ) -> Result<core::Navigator> {
         let rest = self.first_rest(rests);
         let count = match rest {
             Some(end) => self.within(ALIGNMENT_S).min(end),
@@ -388,8 +364,8 @@ impl<'a> Unit<'a> {
     }
 
     /// A navigator with the errors of this unit.
-    pub fn navigator(&self, settings: Settings, start: &Start) -> Navigator {
-        let mut navigator = Navigator::new(settings, start);
+    pub fn navigator(&self, settings: Settings, start: &Start) -> core::Navigator {
+        let mut navigator = core::Navigator::new(settings, start);
         if let Some(covariance) = &self.covariance {
             navigator.set_calibration(&(*covariance).into());
         }
@@ -408,6 +384,20 @@ impl<'a> Unit<'a> {
         settings.rests = choice.zupt.rests();
         settings
     }
+}
+
+/// Navigates along steps with aids, and one more.
+pub(crate) fn run(navigator: &mut Navigator, aids: &[Aid], last: Option<&Aid>, steps: &[Step]) {
+    for aid in aids.iter().chain(last) {
+        navigator.aid(aid);
+    }
+    for step in steps {
+        navigator.step(step);
+    }
+}
+
+fn rests_of(steps: &[Step]) -> Vec<bool> {
+    steps.iter().map(|step| step.resting).collect()
 }
 
 /// The detector of rests for a profile.

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::engine::Run;
 use super::hypotheses::{Chosen, LAST_SHIFT_S};
 use super::model::Model;
+use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
 use crate::digits::significant;
@@ -125,14 +125,14 @@ pub(super) fn after(
         let text = "gravity is along the up axis of the anchors: their frame points down";
         found.push(Code::Axes.note(text));
     }
-    for time_s in &run.recoveries {
+    for time_s in &run.navigator.jumps_s {
         let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";
         found.push(Code::Navigation.warning(text).between(time_s - 1.0, *time_s));
     }
-    if run.contradictions > 0 {
+    if run.navigator.contradictions > 0 {
         let text = format!(
             "later ranges contradict the path by far more than σ at {} times: it is not smoothed across",
-            run.contradictions
+            run.navigator.contradictions
         );
         found.push(Code::Navigation.note(text));
     }

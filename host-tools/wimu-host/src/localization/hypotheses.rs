@@ -5,8 +5,8 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::engine::{DELAY_S, Motion, Recording, START_M, Start};
 use super::model::Model;
+use super::run::{DELAY_S, Motion, Recording, START_M, Start};
 use super::start::candidates;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
@@ -66,8 +66,7 @@ fn judged(
     if let [only] = starts {
         return vec![(0.0, *only)];
     }
-    let judge =
-        |start: &Start| (recording.run(model, start, false, until_s).log_likelihood, *start);
+    let judge = |start: &Start| (recording.log_likelihood(model, start, until_s), *start);
     let mut found: Vec<(f64, Start)> = starts.iter().map(judge).collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     found
@@ -78,7 +77,7 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
     let positions: Vec<(Vector3<f64>, f64)> = match given {
         Some(pose) => vec![(pose.position_m.into(), GIVEN_M)],
         None => {
-            let found = candidates(recording.anchors, recording.ranges, model);
+            let found = candidates(&recording.ranging.positions_m(), recording.ranges, model);
             found.iter().map(|f| (f.position_m, f.deviation_m + START_M)).collect()
         }
     };
@@ -158,7 +157,7 @@ pub(super) fn clock_shift(recording: &Recording, model: &Model, delay_s: f64) ->
     let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
     let shifted = |shift_s: f64| Model { shift_s, ..*model };
     let likelihood = |shift_s: f64, start: &Start| {
-        part.run(&shifted(shift_s), start, false, last_s + shift_s.max(0.0)).log_likelihood
+        part.log_likelihood(&shifted(shift_s), start, last_s + shift_s.max(0.0))
     };
     let chosen = |shift_s: f64| {
         let Chosen { start, .. } = choose(&part, &shifted(shift_s))?;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{AnchorPosition, Increment, RangeRecording, RangeSample};
-use crate::csv::columns::{ANGLE, Column, LENGTH, TIME, Table};
+use crate::formats::table::{ANGLE, LENGTH, MeasuredColumn, Measurements, TIME};
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
@@ -13,7 +13,7 @@ const MOST_ANCHORS: usize = 64;
 
 /// Anchors, and whether they have no height.
 pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
-    let table = Table::read(path)?;
+    let table = Measurements::read(path)?;
     let id = table.named("Anchor").ok_or_else(|| table.missing("Anchor"))?;
     let east = table.needed(&["Position E", "X"], LENGTH)?;
     let north = table.needed(&["Position N", "Y"], LENGTH)?;
@@ -22,9 +22,10 @@ pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
     let bad = |message: String, remedy: &str| {
         Err(Code::CsvBadNumber.error(message, remedy).at(&table.name))
     };
-    for row in 0..table.rows.len() {
+    for row in 0..table.len() {
         let id = table.text(row, id).to_owned();
-        let value = |column: Option<Column>| column.map_or(Ok(Some(0.0)), |c| table.value(row, c));
+        let value =
+            |column: Option<MeasuredColumn>| column.map_or(Ok(Some(0.0)), |c| table.value(row, c));
         let [Some(e), Some(n), Some(u)] = [value(Some(east))?, value(Some(north))?, value(up)?]
         else {
             let message = format!("the position of anchor {id} is incomplete");
@@ -49,7 +50,7 @@ pub(super) fn anchors(path: &Path) -> Result<(Vec<AnchorPosition>, bool)> {
 
 /// Ranges of a table to anchors of the file `known`, and what was left out. `arrived_s`: the time of rows without one.
 pub(super) fn samples(
-    table: &Table,
+    table: &Measurements,
     anchors: &[AnchorPosition],
     known: &str,
     arrived_s: Option<f64>,
@@ -60,7 +61,7 @@ pub(super) fn samples(
     };
     let of = |id: &str| anchors.iter().position(|anchor| anchor.id == id);
     let id = table.named("Anchor");
-    let columns: Vec<(String, Column)> = match id {
+    let columns: Vec<(String, MeasuredColumn)> = match id {
         Some(_) => vec![(String::new(), table.needed(&["Range"], LENGTH)?)],
         None => {
             let wide = |name: &String| {
@@ -75,7 +76,7 @@ pub(super) fn samples(
         return Err(table.missing("Anchor"));
     }
     let (mut samples, mut left_out) = (Vec::new(), BTreeMap::<String, usize>::new());
-    for row in 0..table.rows.len() {
+    for row in 0..table.len() {
         let time_s = time.map_or(Ok(None), |time| table.value(row, time))?;
         let time_s = time_s.or(arrived_s);
         for (name, column) in &columns {
@@ -110,7 +111,7 @@ impl RangeRecording {
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a range to a known anchor.
     pub fn read(ranges: &Path, anchors_file: &Path) -> Result<Self> {
         let (anchors, planar) = anchors(anchors_file)?;
-        let table = Table::read(ranges)?;
+        let table = Measurements::read(ranges)?;
         let known = anchors_file.display().to_string();
         let (mut samples, mut findings) = samples(&table, &anchors, &known, None)?;
         if !samples.is_sorted_by(|a, b| a.time_s <= b.time_s) {
@@ -149,12 +150,12 @@ impl RangeRecording {
     /// # Errors
     /// Those of [`read`](Self::read).
     pub fn with_odometry(mut self, path: &Path) -> Result<Self> {
-        let table = Table::read(path)?;
+        let table = Measurements::read(path)?;
         let time = table.needed(&["Time"], TIME)?;
         let distance = table.needed(&["Distance Increment"], LENGTH)?;
         let heading = table.needed(&["Heading Increment"], ANGLE)?;
         let mut rows: Vec<[f64; 3]> = Vec::new();
-        for row in 0..table.rows.len() {
+        for row in 0..table.len() {
             let value = |column| table.value(row, column);
             let [Some(time_s), Some(distance_m), Some(rotation_rad)] =
                 [value(time)?, value(distance)?, value(heading)?]
@@ -165,7 +166,7 @@ impl RangeRecording {
                 rows.push([time_s, distance_m, rotation_rad]);
             }
         }
-        let left_out = table.rows.len() - rows.len();
+        let left_out = table.len() - rows.len();
         if left_out > 0 {
             let text = format!(
                 "{} of the odometry left out: incomplete, or not after the one before",

@@ -1,16 +1,16 @@
 //! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
 //! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/reference/equations.
 
-mod engine;
 mod findings;
 mod hypotheses;
 mod input;
 mod model;
 mod ranging;
+mod run;
 mod scales;
 mod start;
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Rotation3;
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
 pub(crate) use model::Model;
@@ -18,11 +18,12 @@ pub use model::RangePrior;
 pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
 
-use crate::inertial::{Holes, InertialPath, LINE_OF_SIGHT, Method, Residual, StartPose};
+use crate::inertial::aids::{Aid, Mounting};
+use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::motion::{MotionRecording, UnitSample};
 use crate::{Code, Problem, Result};
-use engine::{Motion, Recording, Run};
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
+use run::{DELAY_S, Motion, Recording, Run};
 
 /// An anchor as its file has it.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +43,20 @@ pub struct RangeSample {
     pub anchor: usize,
     /// m, above zero.
     pub range_m: f64,
+}
+
+impl RangeSample {
+    /// As an aid of a unit.
+    pub fn aid(&self, mounting: &Mounting) -> Aid {
+        Aid {
+            lever_arm_m: mounting.lever_arm_m,
+            ..Aid::range(self.time_s, self.anchor, self.range_m)
+        }
+    }
+
+    fn of(aid: &Aid) -> Self {
+        Self { time_s: aid.time_s, anchor: aid.source, range_m: aid.value[0] }
+    }
 }
 
 /// Wheel odometry over an interval.
@@ -233,16 +248,16 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         };
         (motion, Rotation3::identity())
     });
-    let positions: Vec<Vector3<f64>> =
-        recording.anchors.iter().map(|a| a.position_m.into()).collect();
+    let prior = Model::of(recording, choice);
+    let ranging = Ranging::of(recording, prior);
     let problem = Recording {
-        anchors: &positions,
+        ranging: &ranging,
+        mounting: Mounting { lever_arm_m: choice.lever_arm_m, ..Mounting::default() },
         ranges: &recording.ranges,
         motion,
         level,
         given: choice.start.as_ref(),
     };
-    let prior = Model::of(recording, choice);
     let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
     let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
@@ -263,7 +278,8 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     noticed.extend(findings::unobserved(&ranged));
     path.findings = noticed;
     path.ranging = Some(ranged);
-    path.checked(&recording.name, &findings::remedy(recording, &positions))
+    let remedy = findings::remedy(recording, &ranging.positions_m());
+    Ok(path.checked(&recording.name, &remedy)?.ended())
 }
 
 /// The run with the most probable start and the scales of greatest likelihood.
@@ -283,7 +299,7 @@ fn solved(
             (model, chosen) = with_scale(problem, prior, (model, chosen));
         }
     }
-    let run = problem.run(&model, &chosen.start, choice.smooth, f64::INFINITY);
+    let run = problem.run(&model, &chosen.start, choice.smooth);
     Ok((run, model, chosen))
 }
 
@@ -305,10 +321,10 @@ fn with_scale(
     };
     let (scaled, start) = adapted(problem, scaled, start);
     let likelihood = |model: &Model, chosen: &Chosen| {
-        problem.run(model, &chosen.start, false, f64::INFINITY).log_likelihood
+        problem.log_likelihood(model, &chosen.start, f64::INFINITY)
     };
     let gain = likelihood(&scaled, &start) - likelihood(&model, &chosen);
-    let parameters = problem.anchors.len() as f64 + 1.0;
+    let parameters = problem.ranging.anchors.len() as f64 + 1.0;
     let explains = gain > 0.5 * parameters * (problem.ranges.len() as f64).ln();
     if explains { (scaled, start) } else { (model, chosen) }
 }
@@ -331,13 +347,13 @@ fn presented(
     let [bias, scale] = model.common;
     let anchor = |(index, anchor): (usize, &AnchorPosition)| {
         let own = &run.anchors[index];
-        let pairs = recording.ranges.iter().zip(&run.judged);
-        let judged: Vec<_> = pairs.filter(|(r, _)| r.anchor == index).collect();
-        let blocked = judged.iter().filter(|(_, l)| l.weight < 0.5 && l.innovation_m > 0.0).count();
+        let residuals = run.navigator.residuals.iter().filter(|r| r.source == index);
+        let ranges = residuals.clone().count();
+        let blocked = residuals.filter(|r| !r.accepted && r.value > 0.0).count();
         AnchorFound {
             id: anchor.id.clone(),
-            ranges: judged.len(),
-            blocked: blocked as f64 / judged.len().max(1) as f64,
+            ranges,
+            blocked: blocked as f64 / ranges.max(1) as f64,
             bias_m: parameter(own.bias_m, model.ranges.bias_m.hypot(bias)),
             scale: parameter(own.scale, model.ranges.scale.hypot(scale)),
             position_m: own.position_m.into(),
@@ -345,25 +361,16 @@ fn presented(
         }
     };
     let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
-    let odometer_scale = parameter(run.odometer_scale, model.odometry.scale);
-    let delay_s = parameter(run.delay_s, engine::DELAY_S);
-    let judged = recording.ranges.iter().zip(&run.judged);
-    let residuals = judged.map(|(range, judged)| Residual {
-        time_s: range.time_s,
-        aid: format!("range {}", recording.anchors[range.anchor].id),
-        value: judged.innovation_m,
-        statistic: judged.innovation_m.powi(2) / judged.variance_m2,
-        dof: 1,
-        accepted: judged.weight >= LINE_OF_SIGHT,
-    });
-    let residuals = residuals.collect();
+    let odometer_scale = parameter(run.navigator.wheel_scale(), model.odometry.scale);
+    let delay_s = parameter(run.delay_s, DELAY_S);
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {
         point.valid = point.sd_m() <= choice.limit_m;
     }
     path.smoothed = choice.smooth;
-    path.residuals = residuals;
+    path.residuals = run.navigator.residuals;
+    path.aids = run.navigator.uses;
     let ranged = Ranged {
         anchors,
         noise: Noise {

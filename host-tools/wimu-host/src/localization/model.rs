@@ -83,8 +83,6 @@ pub(crate) struct Model {
     pub odometry: OdometryErrors,
     pub imu: ImuErrors,
     pub gravity_mps2: f64,
-    /// Antenna of the unit, m, body frame.
-    pub lever_arm_m: [f64; 3],
     /// Whether the unit stays at its height.
     pub planar: bool,
     /// Ranges are later than the other sensor's times by this, s.
@@ -96,7 +94,6 @@ impl Model {
         let prior = choice.prior.unwrap_or_else(|| RangePrior::of(recording));
         let mut model = Self::new(&prior, recording.planar);
         model.ranges.position_m = choice.survey_m.unwrap_or(0.0);
-        model.lever_arm_m = choice.lever_arm_m;
         if let Some(motion) = &recording.motion {
             model.gravity_mps2 = motion.gravity_mps2();
         }
@@ -129,7 +126,6 @@ impl Model {
             odometry: OdometryErrors::default(),
             imu,
             gravity_mps2: wimu_nav::GRAVITY_MPS2,
-            lever_arm_m: [0.0; 3],
             planar,
             shift_s: 0.0,
         }

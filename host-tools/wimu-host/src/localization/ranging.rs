@@ -1,19 +1,21 @@
 //! Ranges that aid the navigator of a unit: states of the anchors, updates, and positions from the ranges of a second.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use nalgebra::{Matrix1, Matrix3, Vector3};
-use wimu_nav::filter::{Filter, Gate};
+use wimu_nav::filter::{Filter, Gate, Innovation};
 use wimu_nav::navigator::Navigator;
 use wimu_nav::sensor::{Anchor, CorrelatedErrors, LineOfSight, Position, Range};
 use wimu_nav::state::{ATTITUDE, Block, POSITION, VELOCITY};
 
-use super::engine::{AnchorEstimate, SPEED_MPS, START_M};
 use super::model::Model;
+use super::run::{SPEED_MPS, START_M};
 use super::start::{LEAST, LENGTH_S, candidates};
-use super::{AnchorPosition, RangePrior, RangeSample, input};
+use super::{AnchorPosition, RangePrior, RangeRecording, RangeSample, input};
 use crate::Result;
-use crate::csv::columns::Table;
+use crate::formats::table::Measurements;
+use crate::inertial::aids::{Aid, Outcome};
 
 /// Anchors in this many directions show a position, with a second one that may be its mirror image.
 const LEAST_ANCHORS: usize = 3;
@@ -48,8 +50,18 @@ impl Ranging {
         Self { anchors, name: name.to_owned(), model: Model::new(prior, planar) }
     }
 
+    /// The anchors of a recording.
+    pub(crate) fn of(recording: &RangeRecording, model: Model) -> Self {
+        Self { anchors: recording.anchors.clone(), name: recording.name.clone(), model }
+    }
+
+    /// The same anchors with another model.
+    pub(super) fn with(&self, model: Model) -> Self {
+        Self { model, ..self.clone() }
+    }
+
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
-    pub(crate) fn ranges(&self, table: &Table, arrived_s: f64) -> Result<Vec<RangeSample>> {
+    pub(crate) fn ranges(&self, table: &Measurements, arrived_s: f64) -> Result<Vec<RangeSample>> {
         let (ranges, left_out) = input::samples(table, &self.anchors, &self.name, Some(arrived_s))?;
         match left_out.first().filter(|_| ranges.is_empty()) {
             Some(why) => Err(table.empty(&why.text, "check the names of the anchors")),
@@ -59,13 +71,34 @@ impl Ranging {
 
     /// Positions that the last of some ranges show, m, each with its standard deviation, the most probable first; none with
     /// fewer than three anchors or twelve ranges.
-    pub(crate) fn positions(&self, ranges: &[RangeSample]) -> Vec<(Vector3<f64>, f64)> {
-        positions(&self.positions_m(), &self.model, ranges)
+    pub(crate) fn positions(&self, ranges: &[Aid]) -> Vec<(Vector3<f64>, f64)> {
+        let Some(last) = ranges.last() else {
+            return Vec::new();
+        };
+        let from = ranges.partition_point(|range| range.time_s < last.time_s - LENGTH_S);
+        let ranges = &ranges[from.min(ranges.len().saturating_sub(LEAST))..];
+        let ranges: Vec<RangeSample> = ranges.iter().map(RangeSample::of).collect();
+        let mut seen: Vec<usize> = ranges.iter().map(|range| range.anchor).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        let least = if self.model.planar { LEAST_ANCHORS - 1 } else { LEAST_ANCHORS };
+        if seen.len() < least || ranges.len() < LEAST {
+            return Vec::new();
+        }
+        let found = candidates(&self.positions_m(), &ranges, &self.model);
+        found.iter().map(|f| (f.position_m, f.deviation_m + START_M)).collect()
     }
 
-    /// The anchors in the state of a navigator.
+    /// Claims the states of the anchors.
     pub(crate) fn claim(&self, navigator: &mut Navigator) -> AnchorStates {
-        AnchorStates::claim(&self.positions_m(), &self.model, navigator)
+        let model = &self.model;
+        let claim = |position: Vector3<f64>| {
+            navigator.claim(|layout| Anchor::claim(layout, position, &model.ranges))
+        };
+        let states: Vec<Anchor> = self.positions_m().into_iter().map(claim).collect();
+        navigator.change(|filter| correlate(&states, model.common, filter));
+        let ranging = Arc::new(self.clone());
+        AnchorStates { ranging, states, delay: None, last_s: None, recent: Vec::new() }
     }
 
     /// Positions of the anchors, m.
@@ -74,78 +107,62 @@ impl Ranging {
     }
 }
 
-fn positions(
-    anchors: &[Vector3<f64>],
-    model: &Model,
-    ranges: &[RangeSample],
-) -> Vec<(Vector3<f64>, f64)> {
-    let Some(last) = ranges.last() else {
-        return Vec::new();
-    };
-    let from = ranges.partition_point(|range| range.time_s < last.time_s - LENGTH_S);
-    let ranges = &ranges[from.min(ranges.len().saturating_sub(LEAST))..];
-    let mut seen: Vec<usize> = ranges.iter().map(|range| range.anchor).collect();
-    seen.sort_unstable();
-    seen.dedup();
-    let least = if model.planar { LEAST_ANCHORS - 1 } else { LEAST_ANCHORS };
-    if seen.len() < least || ranges.len() < LEAST {
-        return Vec::new();
-    }
-    let found = candidates(anchors, ranges, model);
-    found.iter().map(|f| (f.position_m, f.deviation_m + START_M)).collect()
+/// Value and standard deviation of a state at the end of a run.
+pub(crate) type Estimate = [f64; 2];
+
+/// An anchor at the end of a run.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AnchorEstimate {
+    pub position_m: Vector3<f64>,
+    /// Standard deviation of its components, m, where it is estimated.
+    pub position_sd_m: Option<Vector3<f64>>,
+    pub bias_m: Option<Estimate>,
+    pub scale: Option<Estimate>,
 }
 
 /// The anchors in the state of a navigator.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct AnchorStates {
+    ranging: Arc<Ranging>,
     states: Vec<Anchor>,
     /// Delay of the ranges, s.
     pub delay: Option<Block<1>>,
     /// Time of the last range, s.
     last_s: Option<f64>,
     /// Ranges of the last second.
-    recent: Vec<(RangeSample, LineOfSight)>,
+    recent: Vec<(Aid, LineOfSight)>,
 }
 
 impl AnchorStates {
-    /// Claims the states of anchors at positions, m.
-    pub fn claim(anchors: &[Vector3<f64>], model: &Model, navigator: &mut Navigator) -> Self {
-        let claim = |position: &Vector3<f64>| {
-            navigator.claim(|layout| Anchor::claim(layout, *position, &model.ranges))
-        };
-        let states: Vec<Anchor> = anchors.iter().map(claim).collect();
-        navigator.change(|filter| correlate(&states, model.common, filter));
-        Self { states, ..Self::default() }
+    /// Names of the anchors.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.ranging.anchors.iter().map(|anchor| anchor.id.as_str())
     }
 
-    /// Updates with a range that was measured `age_s` ago, whose weight is the probability of line of sight.
-    pub fn update(
-        &mut self,
-        model: &Model,
-        sample: RangeSample,
-        age_s: f64,
-        navigator: &mut Navigator,
-    ) -> LineOfSight {
-        let anchor = &self.states[sample.anchor];
-        let last_s = self.last_s.replace(sample.time_s).unwrap_or(sample.time_s);
-        if sample.time_s > last_s {
+    /// Updates with a range that was measured `age_s` ago, whose weight is the probability of line of sight. If the last
+    /// ranges contradict the path, it jumps to the position that they show.
+    pub fn update(&mut self, aid: &Aid, age_s: f64, navigator: &mut Navigator) -> Outcome {
+        let model = &self.ranging.model;
+        let anchor = &self.states[aid.source];
+        let last_s = self.last_s.replace(aid.time_s).unwrap_or(aid.time_s);
+        if aid.time_s > last_s {
             navigator.predict(&CorrelatedErrors {
                 anchors: &self.states,
                 errors: &model.ranges,
-                step_s: sample.time_s - last_s,
+                step_s: aid.time_s - last_s,
             });
         }
-        let lever_arm_m = model.lever_arm_m.into();
+        let lever_arm_m = aid.lever_arm_m.into();
         let range = Range {
             anchor,
-            range_m: sample.range_m,
+            range_m: aid.value[0],
             deviation_m: model.ranges.noise_m,
             lever_arm_m,
             delay: self.delay,
             age_s,
         };
         let (weighted, found) = range.weighted(navigator.filter(), &model.line_of_sight);
-        navigator.update(&weighted, Gate::Open);
+        let updated = navigator.update(&weighted, Gate::Open);
         // A unit that does not move upwards needs none.
         let rises = navigator.filter().covariance(POSITION)[(2, 2)] > 0.0;
         if model.planar && rises {
@@ -153,24 +170,26 @@ impl AnchorStates {
             let plane = Position { position_m: anchor.position_m, deviation_m, lever_arm_m };
             navigator.update(&plane, Gate::Open);
         }
-        self.recent.retain(|(range, _)| range.time_s >= sample.time_s - LOST_S);
-        self.recent.push((sample, found));
-        found
+        self.recent.retain(|(range, _)| range.time_s >= aid.time_s - LOST_S);
+        self.recent.push((*aid, found));
+        Outcome {
+            innovation: Innovation {
+                statistic: found.innovation_m.powi(2) / found.variance_m2,
+                ..updated
+            },
+            weight: found.weight,
+            log_likelihood: found.log_likelihood,
+            has_jumped: self.recovers(navigator),
+        }
     }
 
     /// Moves a navigator to the position that the last ranges show, if they contradict the path. Returns whether it jumped.
-    pub fn recovers(
-        &mut self,
-        anchors: &[Vector3<f64>],
-        model: &Model,
-        navigator: &mut Navigator,
-    ) -> bool {
+    fn recovers(&mut self, navigator: &mut Navigator) -> bool {
         if !is_lost(&self.recent) {
             return false;
         }
-        let ranges: Vec<RangeSample> = self.recent.iter().map(|(range, _)| *range).collect();
-        let Some((position, position_sd)) = positions(anchors, model, &ranges).first().copied()
-        else {
+        let ranges: Vec<Aid> = self.recent.iter().map(|(range, _)| *range).collect();
+        let Some((position, position_sd)) = self.ranging.positions(&ranges).first().copied() else {
             return false;
         };
         self.recent.clear();
@@ -222,10 +241,10 @@ const LOST_SIGMA: f64 = 4.0;
 /// Ranges below which this is not decided.
 const LOST_LEAST: usize = 8;
 
-fn is_lost(ranges: &[(RangeSample, LineOfSight)]) -> bool {
+fn is_lost(ranges: &[(Aid, LineOfSight)]) -> bool {
     let is_short = |l: &LineOfSight| l.innovation_m < -LOST_SIGMA * l.variance_m2.sqrt();
     let short = ranges.iter().filter(|(_, l)| is_short(l));
-    let short: Vec<usize> = short.map(|(r, _)| r.anchor).collect();
+    let short: Vec<usize> = short.map(|(r, _)| r.source).collect();
     ranges.len() >= LOST_LEAST
         && short.iter().any(|anchor| *anchor != short[0])
         && short.len() as f64 > LOST_PART * ranges.len() as f64

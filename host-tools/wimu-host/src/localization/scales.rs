@@ -1,10 +1,9 @@
 //! Scales of the noise, by the likelihood of the ranges: equation (167).
 
-use wimu_nav::sensor::LineOfSight;
-
 use super::RangeSample;
-use super::engine::{Motion, Recording, Start};
 use super::model::Model;
+use super::run::{Motion, Recording, Start};
+use crate::inertial::Residual;
 
 /// Ranges that are used, at most: several minutes of a usual system.
 const MOST: usize = 12_000;
@@ -62,13 +61,13 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
 pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Model {
     let used = &recording.ranges[..recording.ranges.len().min(MOST)];
     let until_s = used.last().map_or(0.0, |r| r.time_s + model.shift_s);
-    let first = recording.run(model, start, false, until_s);
-    let is_far = |l: &LineOfSight| l.weight < FAR_WEIGHT && l.innovation_m < 0.0;
-    let pairs = used.iter().zip(&first.judged);
+    let first = recording.navigated(model, start, until_s, None);
+    let is_far = |range: &Residual| range.weight < FAR_WEIGHT && range.value < 0.0;
+    let pairs = used.iter().zip(&first.residuals);
     let near: Vec<RangeSample> = pairs.filter(|(_, l)| !is_far(l)).map(|(r, _)| *r).collect();
     let few = (used.len() - near.len()) as f64 <= MOST_FAR * used.len() as f64;
     let part = Recording { ranges: if few { &near } else { used }, ..*recording };
-    let likelihood = |model: &Model| part.run(model, start, false, until_s).log_likelihood;
+    let likelihood = |model: &Model| part.log_likelihood(model, start, until_s);
     let (mut best, mut most) = (*model, likelihood(model));
     for factor in FACTORS {
         for _ in 0..ROUNDS {

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{RelativePath, RelativePoint};
 use crate::chart::{Band, Chart, Series, broken};
 use crate::csv::CsvWriter;
-use crate::html::Report;
+use crate::document::Document;
 use crate::stats::median;
 use crate::{OutputFile, Result};
 
@@ -92,9 +92,9 @@ impl RelativePath {
     /// A page with the result and its charts; `text` is that of the command.
     ///
     /// # Errors
-    /// Those of [`Report`].
-    pub fn page(&self, source: &str, text: &str) -> Report {
-        let mut page = Report::new(format!("Angle between {source}"));
+    /// Those of [`Document`].
+    pub fn page(&self, source: &str, text: &str) -> Document {
+        let mut page = Document::new(format!("Angle between {source}"));
         page.result(text.lines().next().unwrap_or_default());
         page.key("hinge axis, 1 σ", &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()));
         page.key("angle, 1 σ, median", &format!("± {:.1}°", self.median_sigma_rad().to_degrees()));

@@ -4,10 +4,10 @@
 
 use std::fmt;
 
-use super::common::{Random, cross};
+use super::common::{Random, cross, push, push_truth};
 use wimu_calib::Gravity;
 use wimu_host::Problem;
-use wimu_host::array::{ArrayBody, ArrayCalibration, ArrayGeometry, ArrayRecording, RefineOptions};
+use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry, RefineOptions};
 use wimu_host::inertial::{Choice, Zupt, navigate_array};
 use wimu_host::motion::nees;
 
@@ -314,7 +314,7 @@ impl Case {
     }
 
     /// The recording of one seed, with the truth.
-    pub fn recording(&self, seed: u64) -> (ArrayRecording, ArrayGeometry) {
+    pub fn recording(&self, seed: u64) -> (Array, ArrayGeometry) {
         let random = &mut Random::new(seed);
         let geometry = self.geometry();
         let journey = self.journey(random);
@@ -333,17 +333,7 @@ impl Case {
                 skew: self.skew * random.normal(),
             })
             .collect();
-        let names = ["Position E (m)", "Position N (m)", "Position U (m)"]
-            .into_iter()
-            .chain(["W", "X", "Y", "Z"].map(|_| ""))
-            .enumerate()
-            .map(|(k, name)| match k {
-                0..=2 => format!("Truth {name}"),
-                _ => format!("Truth Quaternion {}", ["W", "X", "Y", "Z"][k - 3]),
-            })
-            .chain(["X", "Y", "Z"].map(|a| format!("Truth Angular Rate {a} (rad/s)")));
-        let mut other: Vec<(String, Vec<f64>)> = names.map(|n| (n, Vec::new())).collect();
-        let mut recording = ArrayRecording::default();
+        let mut recording = Array::default();
         let count = (journey.seconds() * self.rate_hz) as usize;
         for k in 0..count {
             let time = k as f64 / self.rate_hz;
@@ -355,17 +345,12 @@ impl Case {
                 let scaled = add(force, apply(&sensor.scale, force), 1.0);
                 add(add(scaled, sensor.bias, 1.0), random.normals(self.noise), 1.0)
             });
-            recording.outputs.push(row.collect());
-            recording.saturated.push(0);
-            recording.times_s.push(time);
+            let row: Vec<V> = row.collect();
+            push(&mut recording, time, row);
             let motion = journey.at(time);
-            let truth =
-                motion.position.into_iter().chain(quaternion(&motion.attitude)).chain(motion.rate);
-            for ((_, column), value) in other.iter_mut().zip(truth) {
-                column.push(value);
-            }
+            let truth = (motion.position, quaternion(&motion.attitude), motion.rate);
+            push_truth(&mut recording, time, truth);
         }
-        recording.other = other;
         (recording, geometry)
     }
 
@@ -387,9 +372,9 @@ impl Case {
         let path = navigate_array(&arranged, &geometry, &calibration, &choice)?;
         let (states, _) = ArrayBody::of(&arranged, &geometry, &calibration)
             .and_then(|body| body.navigated(G, self.zupt))?;
-        let truth = arranged.true_rate_rad_s();
+        let truth = arranged.beside(&arranged.reference.rate_rad_s);
         let mut outcome = Outcome {
-            position: path.nees.clone(),
+            position: path.nees.all.clone(),
             valid: path.points.iter().filter(|p| p.valid).count() as f64 / path.points.len() as f64,
             remarks: path.findings.iter().map(ToString::to_string).collect(),
             ..Outcome::default()

@@ -78,7 +78,7 @@ pub fn starts(case: &Case, source: Source) -> Result<Score> {
         let begin_s = from_s + part * (until_s - from_s - length_s);
         let span_s = [begin_s, begin_s + length_s];
         let ran = drive(case, table.cut(span_s)?, &fixes.cut(span_s)?)?;
-        let count = |key: &str| ran.data["fixes"][key].as_f64().unwrap_or(0.0);
+        let count = |key: &str| ran.data["aids"]["position"][key].as_f64().unwrap_or(0.0);
         let rejects = count("rejected") > REJECTED * (count("used") + count("rejected"));
         score.figures[0] += f64::from(u8::from(rejects || ran.exit != 0));
         score.exit = score.exit.max(ran.exit);

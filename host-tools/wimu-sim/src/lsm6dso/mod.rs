@@ -1,4 +1,4 @@
-//! The LSM6DSO at register level: accelerometer, gyroscope, thermometer, FIFO, on I²C or SPI.
+//! The LSM6DSO and the LSM6DS3TR-C at register level: accelerometer, gyroscope, thermometer, FIFO, on I²C or SPI.
 //!
 //! Modelled: identity, both addresses, I2C_disable, output data rates 12.5 Hz to 6.66 kHz with both
 //! sensors on one oscillator, ranges, turn-on time of the gyroscope (full scale until it has passed),
@@ -6,11 +6,12 @@
 //! batch rates and temperatures, watermark, overrun and its latch, data-ready, watermark, overrun and
 //! full on INT1 of either polarity, self-test, software reset, access to the embedded functions'
 //! registers, which hides all others. Other registers keep what is written to them and do nothing:
-//! timestamps, filters, compression, embedded functions, I3C, INT2. Low power changes no noise. The
+//! timestamps, filters, decimation of the LSM6DS3TR-C's FIFO, whose words have no tags, compression, embedded functions, I3C, INT2. Low power changes no noise. The
 //! order of the words of one instant (gyroscope, accelerometer, temperature) and the content of an
 //! empty FIFO are not in the datasheet.
 
 mod fifo;
+mod pattern;
 
 use wimu_model::Counts;
 
@@ -21,8 +22,13 @@ use crate::spi;
 use fifo::{ACCELEROMETER, Fifo, GYROSCOPE, TEMPERATURE, WORDS};
 
 const FUNC_CFG_ACCESS: u8 = 0x01;
+/// Of the LSM6DS3TR-C: one lower than the LSM6DSO's.
+const PLAIN_CTRL1: u8 = 0x06;
+const PLAIN_CTRL5: u8 = 0x0A;
+const PLAIN_STATUS4: u8 = 0x3D;
+const PLAIN_DATA_L: u8 = 0x3E;
+const PLAIN_DATA_H: u8 = 0x3F;
 const FIFO_CTRL1: u8 = 0x07;
-const FIFO_CTRL2: u8 = 0x08;
 const FIFO_CTRL3: u8 = 0x09;
 const FIFO_CTRL4: u8 = 0x0A;
 const INT1_CTRL: u8 = 0x0D;
@@ -80,12 +86,22 @@ pub(crate) struct Lsm6dso {
     /// STATUS: TDA, GDA, XLDA.
     fresh: u8,
     fifo: Fifo,
+    /// The FIFO of an LSM6DS3TR-C, which is what the chip is if this is there.
+    plain: Option<pattern::Fifo>,
 }
 
 impl Lsm6dso {
     /// A chip at `address` after power-on.
     pub(crate) fn new(address: u8) -> Self {
         let mut chip = Self { address, identity: 0x6C, ..Self::default() };
+        chip.reset();
+        chip
+    }
+
+    /// An LSM6DS3TR-C at `address` after power-on.
+    pub(crate) fn lsm6ds3tr_c(address: u8) -> Self {
+        let plain = Some(pattern::Fifo::default());
+        let mut chip = Self { address, identity: 0x6A, plain, ..Self::default() };
         chip.reset();
         chip
     }
@@ -128,9 +144,13 @@ impl Lsm6dso {
     }
 
     fn above_watermark(&self) -> bool {
-        let watermark = [self.register(FIFO_CTRL1), self.register(FIFO_CTRL2) & 1];
+        let (first, high, words) = match &self.plain {
+            Some(plain) => (PLAIN_CTRL1, 0b111, plain.len()),
+            None => (FIFO_CTRL1, 1, self.fifo.len()),
+        };
+        let watermark = [self.register(first), self.register(first + 1) & high];
         let watermark = usize::from(u16::from_le_bytes(watermark));
-        watermark > 0 && self.fifo.len() >= watermark
+        watermark > 0 && words >= watermark
     }
 
     fn tick(&mut self, time_s: f64, source: &mut dyn Source) {
@@ -147,7 +167,12 @@ impl Lsm6dso {
         }
         self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
         self.fresh |= 0b100;
-        if self.register(FIFO_CTRL4) & 0b111 != 0 {
+        if let Some(plain) = &mut self.plain {
+            let [_, sample @ ..] = self.output;
+            if self.registers.get(PLAIN_CTRL5) & 0b111 != 0 && force {
+                plain.push(sample);
+            }
+        } else if self.register(FIFO_CTRL4) & 0b111 != 0 {
             self.batch(rate, force);
         }
         self.ticks += 1;
@@ -243,6 +268,7 @@ impl Lsm6dso {
         match register {
             _ if !self.is_set(CTRL3_C, IF_INC) => register,
             FIFO_Z_H => FIFO_TAG,
+            PLAIN_DATA_H if self.plain.is_some() => PLAIN_DATA_L,
             _ => (register + 1) & 0x7F,
         }
     }
@@ -269,6 +295,7 @@ impl Chip for Lsm6dso {
         self.output = [0; 7];
         self.fresh = 0;
         self.fifo = Fifo::default();
+        self.plain = self.plain.as_ref().map(|_| pattern::Fifo::default());
     }
 
     fn acknowledges(&self, address: u8) -> bool {
@@ -301,6 +328,9 @@ impl Chip for Lsm6dso {
                 self.reset_until = now + RESET_US;
             }
             FIFO_CTRL4 if byte & 0b111 == 0 => self.fifo = Fifo::default(),
+            PLAIN_CTRL5 if byte & 0b111 == 0 && self.plain.is_some() => {
+                self.plain = Some(pattern::Fifo::default());
+            }
             _ => {}
         }
         if self.codes() != codes {
@@ -317,6 +347,16 @@ impl Chip for Lsm6dso {
     fn read(&mut self, _address: u8) -> u8 {
         let register = self.registers.pointer;
         self.registers.pointer = self.after(register);
+        let above_watermark = self.above_watermark();
+        if let Some(plain) = &mut self.plain {
+            match register {
+                FIFO_STATUS1..=PLAIN_STATUS4 => {
+                    return plain.status(usize::from(register - FIFO_STATUS1), above_watermark);
+                }
+                PLAIN_DATA_L | PLAIN_DATA_H => return plain.read(register == PLAIN_DATA_H),
+                _ => {}
+            }
+        }
         match register {
             _ if self.is_hidden(register) => 0,
             WHO_AM_I => self.identity,
@@ -324,14 +364,17 @@ impl Chip for Lsm6dso {
             STATUS => self.fresh,
             OUT_TEMP_L..=OUTZ_H_A => self.read_output(usize::from(register - OUT_TEMP_L)),
             FIFO_STATUS1 => self.fifo.len() as u8,
-            FIFO_STATUS2 => u8::from(self.above_watermark()) << 7 | self.fifo.status2(),
+            FIFO_STATUS2 => u8::from(above_watermark) << 7 | self.fifo.status2(),
             FIFO_TAG..=FIFO_Z_H => self.fifo.read(usize::from(register - FIFO_TAG)),
             _ => self.register(register),
         }
     }
 
     fn interrupt(&self) -> bool {
-        let full = self.fifo.len() >= WORDS;
+        let full = match &self.plain {
+            Some(plain) => plain.len() >= pattern::WORDS,
+            None => self.fifo.len() >= WORDS,
+        };
         // Data-ready of both sensors, FIFO threshold, overrun and full.
         let happened = self.fresh & 0b011
             | u8::from(self.above_watermark()) << 3
@@ -357,6 +400,6 @@ impl Chip for Lsm6dso {
     }
 
     fn has_unread(&self) -> bool {
-        self.fifo.len() > 0
+        self.fifo.len() > 0 || self.plain.as_ref().is_some_and(|plain| plain.len() > 0)
     }
 }

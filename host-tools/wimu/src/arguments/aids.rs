@@ -14,9 +14,10 @@ pub struct Aids {
     /// What is assumed of the motion
     #[arg(long, value_enum, default_value_t, help_heading = "Model")]
     pub profile: MotionProfile,
-    /// Positions of another system, CSV or LINK
+    /// Measurements of other systems, CSV or LINK
     ///
-    /// Position, velocity or heading by another system (columns: docs/explanation/fixes.md); a LINK too if INPUT is one
+    /// Position, velocity, heading, pressure or speed by another system (columns: docs/explanation/fixes.md); a LINK too if
+    /// INPUT is one
     #[arg(long, value_name = "FIXES.csv|LINK")]
     pub fixes: Option<PathBuf>,
     /// Ranges to anchors, CSV or LINK

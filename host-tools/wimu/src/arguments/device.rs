@@ -213,41 +213,40 @@ pub struct Ports {
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
-  wimu device flash microbit-v2
-  wimu device flash --list
-  wimu device flash pico-adxl345 --image my.elf --probe 2e8a:000c
+  wimu device flash
+  wimu device flash pico --image target/firmware/pico.uf2
+  wimu device flash microbit-v2 --probe 0d28:0204
 
-Without a probe, copy the image to the drive that the board shows. The calibration is kept, except \
-when --erase-all unlocks a locked chip.")]
+The image is copied to the drive that the board shows, otherwise written through a debug probe. The calibration \
+is kept, except when --erase-all unlocks a locked chip.")]
 pub struct Flash {
-    /// Board to write
-    #[arg(value_enum, required_unless_present = "list")]
+    /// Board to write [default: the one whose drive is there]
+    #[arg(value_enum)]
     pub board: Option<Board>,
-    /// Firmware image: ELF, Intel HEX or UF2 [default: the one that `cargo xtask firmware` wrote]
+    /// Firmware image: Intel HEX or UF2 [default: the one that `cargo xtask firmware` wrote]
     #[arg(long, value_name = "FILE")]
     pub image: Option<PathBuf>,
-    /// Debug probe to use, if there are several
+    /// Folder at which the board's drive is mounted [default: search]
+    #[arg(long, value_name = "FOLDER")]
+    pub drive: Option<PathBuf>,
+    /// Debug probe to use, also if there is a drive
     #[arg(long, value_name = "VENDOR:PRODUCT[:SERIAL]")]
     pub probe: Option<String>,
-    /// List the connected debug probes
-    #[arg(long)]
-    pub list: bool,
     /// Unlock a locked chip; this erases its firmware, calibration and key
     #[arg(long)]
     pub erase_all: bool,
 }
 
-/// Boards that are written through a debug probe.
+/// Boards whose images are copied to a drive or written through a debug probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Board {
     /// BBC micro:bit v2
     MicrobitV2,
-    /// Raspberry Pi Pico with an ADXL345
-    #[value(name = "pico-adxl345")]
-    PicoAdxl345,
-    /// Nordic nRF52840 DK with an LSM6DSO, over Bluetooth Low Energy
-    #[value(name = "nrf52840-ble")]
-    Nrf52840Ble,
+    /// Raspberry Pi Pico
+    Pico,
+    /// Seeed XIAO nRF52840 Sense
+    #[value(name = "xiao-nrf52840")]
+    XiaoNrf52840,
 }
 
 #[derive(Args)]

@@ -49,9 +49,9 @@ const TABLES: [Table; 2] = [
     Table {
         command: "simulate",
         decided_by: "chip",
-        values: &["lsm303agr", "adxl345", "lsm6dso"],
+        values: &["lsm303agr", "adxl345", "lsm6dso", "lsm6ds3tr-c", "mpu6050", "icm42688"],
         rows: &[
-            ("replay",                "× × ·"),
+            ("replay",                "× × · · · ·"),
         ],
     },
 ];
@@ -112,11 +112,12 @@ const EXCLUDE: [(&str, &[&str]); 4] = [
 ];
 
 /// Those that need another.
-const NEED: [(&str, &[&str]); 9] = [
+const NEED: [(&str, &[&str]); 10] = [
     ("ranges", &["anchors"]),
     ("range_errors", &["anchors"]),
     ("survey_m", &["anchors"]),
     ("fix_delay_s", &["fixes", "ranges"]),
+    ("fix_time_sd_s", &["fixes", "ranges"]),
     ("refine", &["geometry"]),
     ("place_sd_mm", &["geometry"]),
     ("delay_sd_us", &["geometry"]),

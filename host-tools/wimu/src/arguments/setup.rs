@@ -22,6 +22,8 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 # Time from a fix or range to its time stamp, s, and position of the antenna from the inertial sensor or the odometer, m,
 # body axes:
 #fix_delay_s = 0.0
+# Standard deviation of the time of a fix, s:
+#fix_time_sd_s = 0.01
 #lever_arm_m = [0.0, 0.0, 0.0]
 
 # An array of accelerometers: positions.csv (header `X (m),Y (m),Z (m)` or mm, one row per triad of axes), ARRAY.json as
@@ -55,6 +57,7 @@ pub struct Setup {
     pub range_errors: Option<[f64; 3]>,
     pub survey_m: Option<f64>,
     pub fix_delay_s: f64,
+    pub fix_time_sd_s: f64,
     pub lever_arm_m: Option<[f64; 3]>,
     pub geometry: Option<PathBuf>,
     pub place_sd_mm: Option<f64>,
@@ -100,6 +103,9 @@ impl Setup {
         }
         if !(-2.0..=2.0).contains(&self.fix_delay_s) {
             return Err(refused("fix_delay_s is not from -2 to 2"));
+        }
+        if !(0.0..=2.0).contains(&self.fix_time_sd_s) {
+            return Err(refused("fix_time_sd_s is not from 0 to 2"));
         }
         let vectors = [self.lever_arm_m, self.range_errors, self.hinge];
         match vectors.iter().flatten().flatten().all(|value| value.is_finite()) {

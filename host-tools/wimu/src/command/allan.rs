@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use wimu_host::allan::{self, NoiseMeter, NoiseReport};
-use wimu_host::html::ToDocument;
+use wimu_host::document::ToDocument;
 use wimu_host::{Input, Result};
 
 use crate::arguments::Allan;

@@ -4,9 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use wimu_host::Result;
-use wimu_host::array::{
-    ArrayGeometry, ArrayRecording, Board, BoardOptions, RefineOptions, Refinement,
-};
+use wimu_host::array::{Array, ArrayGeometry, RefineOptions, Refinement, UnitOptions};
 use wimu_link::LinkRole;
 
 use crate::output::Output;
@@ -36,16 +34,11 @@ pub fn read(
     sensitivity_lsb_per_g: Option<f64>,
     link: Option<LinkRole>,
     raw: bool,
-) -> Result<ArrayRecording> {
+) -> Result<Array> {
     let sensitivity_lsb_per_g = sensitivity_lsb_per_g.unwrap_or(SENSITIVITY_LSB_PER_G);
-    let is_table = input.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv"));
-    if boards.is_empty() && is_table {
-        return ArrayRecording::from_csv(input, sensitivity_lsb_per_g);
-    }
-    let options = BoardOptions { sensitivity_lsb_per_g, link, raw };
+    let options = UnitOptions { sensitivity_lsb_per_g, link, raw };
     let paths = std::iter::once(input).chain(boards.iter().map(PathBuf::as_path));
-    let boards = paths.map(|path| Board::read(path, &options));
-    ArrayRecording::from_boards(&boards.collect::<Result<Vec<_>>>()?)
+    Array::read(&paths.collect::<Vec<_>>(), &options)
 }
 
 /// Positions and delays estimated from a recording.

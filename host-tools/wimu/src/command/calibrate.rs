@@ -11,8 +11,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Serialize;
 use wimu_host::calibration::{self, CalibrateOptions, Calibration, MethodChoice, Paired};
 use wimu_host::capture;
+use wimu_host::document::Document;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::html::Report;
 use wimu_host::problem::Outcome;
 use wimu_host::recording::{Recording, Selection};
 use wimu_host::{Code, Input, Problem, Result};
@@ -65,7 +65,7 @@ pub fn finish<R: Display + Serialize>(
 }
 
 /// Writes the report, if one was asked for.
-fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Report) -> Result<()> {
+fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Document) -> Result<()> {
     match &arguments.report {
         Some(path) => page().write(path),
         None => Ok(()),

@@ -9,7 +9,7 @@ use serde::Serialize;
 use wimu_host::chart::{self, Chart, Series};
 use wimu_host::compare::{Comparison, compare};
 use wimu_host::digits::significant;
-use wimu_host::html::Report;
+use wimu_host::document::Document;
 use wimu_host::mcap_file::RecordingReader;
 use wimu_host::navigation::{Point, distance_m};
 use wimu_host::{Code, OutputFile, Result};
@@ -299,8 +299,8 @@ fn charts(outcome: &Outcome) -> [(&'static str, Chart); 2] {
     [("tilts", tilts), ("slide", slide)]
 }
 
-fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Report {
-    let mut report = Report::new("wimu demo");
+fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Document {
+    let mut report = Document::new("wimu demo");
     let [before, after] = outcome.tilts_rms_mps2().map(|rms| significant(rms * 1e3, 3));
     let slide =
         [outcome.slide.uncalibrated_m, outcome.slide.calibrated_m].map(|m| significant(m, 3));

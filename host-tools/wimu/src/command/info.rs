@@ -8,11 +8,12 @@ use serde::Serialize;
 use wimu_host::authentication::Authentication;
 use wimu_host::capture::{self, Capture, Counts};
 use wimu_host::decode::{self, LinkStatistics};
+use wimu_host::document::{Document, ToDocument};
 use wimu_host::formats::{Source, Summary};
 use wimu_host::keys::KeyFolder;
 use wimu_host::mcap_file::Wholeness;
 use wimu_host::units::RawUnit;
-use wimu_host::{Input, Result};
+use wimu_host::{Input, Problem, Result};
 use wimu_link::Hello;
 use wimu_link::batch::Stream;
 use wimu_link::message::{SensorStatus, Status};
@@ -52,22 +53,60 @@ struct Link {
     statistics: LinkStatistics,
 }
 
+impl ToDocument for Contents {
+    fn document(&self) -> Document {
+        let mut document = Document::new(&self.source);
+        document.result(&format!("{}: {:.1} s", self.source, self.duration_s));
+        for link in &self.links {
+            document.key(&link.role, &link.contents());
+            link.details(&mut document);
+        }
+        document
+    }
+}
+
 impl Link {
-    /// What is shown below the line of the link.
-    fn details(&self) -> Vec<String> {
-        let mut details = Vec::new();
+    fn contents(&self) -> String {
+        let statistics = &self.statistics;
+        let mut text = format!(
+            "{} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes",
+            self.raw_samples,
+            self.corrected_samples,
+            self.epochs,
+            self.navigation,
+            statistics.raw.missing,
+            statistics.frames_damaged,
+            left_out_text(statistics.batches_unplaced, statistics.frames_rejected),
+            statistics.bytes,
+        );
+        if self.starts > 1 {
+            text += &format!("; {} starts of the board", self.starts);
+        }
+        text
+    }
+
+    fn details(&self, document: &mut Document) {
+        let mut add = |what: &str, text: String| {
+            document.key(&format!("{} {what}", self.role), &text);
+        };
         // One sensor of three axes is described by the line of its link.
         let is_usual = |sensor: &Sensor| sensor.index == 0 && sensor.angular_rates == 0;
         if !self.sensors.iter().all(is_usual) {
-            details.extend(self.sensors.iter().map(Sensor::text));
+            self.sensors.iter().for_each(|sensor| add("stream", sensor.text()));
         }
-        details.extend(self.device.as_ref().map(Device::text));
-        details.extend(self.sampling.as_ref().map(Sampling::text));
-        details.extend(self.authentication.as_ref().and_then(|a| a.text()));
-        details.extend(self.events.iter().cloned());
-        let more = self.more_events;
-        details.extend((more > 0).then(|| format!("and {more} more events")));
-        details
+        if let Some(device) = &self.device {
+            add("device", device.text());
+        }
+        if let Some(sampling) = &self.sampling {
+            add("sampling", sampling.text());
+        }
+        if let Some(text) = self.authentication.as_ref().and_then(Authentication::text) {
+            add("tags", text);
+        }
+        self.events.iter().for_each(|event| add("event", event.clone()));
+        if self.more_events > 0 {
+            add("events", format!("and {} more", self.more_events));
+        }
     }
 }
 
@@ -274,7 +313,7 @@ pub fn run(arguments: &Info, output: &Output) -> Result<()> {
         Input::File(path) => {
             let options = arguments.reading.options(false);
             let summary = Summary::read(&Source::open(&path)?, &options)?;
-            of_another_program(&summary, output);
+            print(&summary, &summary.findings, output);
             Ok(())
         }
     }
@@ -288,20 +327,11 @@ pub fn board(link: &str, output: &Output) -> Result<()> {
     Ok(())
 }
 
-fn of_another_program(summary: &Summary, output: &Output) {
-    let (source, seconds) = (&summary.source, summary.duration_s);
-    output.print(format!("{source}: {}, {seconds:.1} s", summary.format));
-    let others = summary.other_columns();
-    for track in &summary.tracks {
-        if !others.contains(&track.name.as_str()) {
-            output.print(format!("  {track}"));
-        }
-    }
-    if !others.is_empty() {
-        output.print(format!("  other columns: {}", others.join(", ")));
-    }
-    output.findings(&summary.findings);
-    output.object(summary);
+/// Prints what a file holds.
+fn print(contents: &impl ToDocument, findings: &[Problem], output: &Output) {
+    output.print(contents.document().to_string());
+    output.findings(findings);
+    output.object(contents);
 }
 
 /// Largest number of events of a link that are listed.
@@ -365,29 +395,6 @@ fn recording(path: &Path, output: &Output) -> Result<()> {
         wholeness,
         links,
     };
-    output.print(format!("{}: {:.1} s", contents.source, contents.duration_s));
-    output.findings(&findings);
-    for link in &contents.links {
-        output.print(format!(
-            "{:8} {} raw, {} corrected, {} epochs, {} positions; {} missing, {} damaged frames{}, {} bytes{}",
-            link.role,
-            link.raw_samples,
-            link.corrected_samples,
-            link.epochs,
-            link.navigation,
-            link.statistics.raw.missing,
-            link.statistics.frames_damaged,
-            left_out_text(link.statistics.batches_unplaced, link.statistics.frames_rejected),
-            link.statistics.bytes,
-            match link.starts {
-                0 | 1 => String::new(),
-                starts => format!("; {starts} starts of the board"),
-            }
-        ));
-        for detail in link.details() {
-            output.print(format!("         {detail}"));
-        }
-    }
-    output.object(&contents);
+    print(&contents, &findings, output);
     Ok(())
 }

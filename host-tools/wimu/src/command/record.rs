@@ -7,7 +7,6 @@ use serde::Serialize;
 use wimu_host::authentication::Authentication;
 use wimu_host::clock::ClockSummary;
 use wimu_host::decode::LinkStatistics;
-use wimu_host::digits::{significant, with_sd};
 use wimu_host::recorder::{Progress, Recorder};
 use wimu_host::ros::{self, Decoded};
 use wimu_host::{LinkUrl, Problem, Result};
@@ -81,7 +80,7 @@ pub fn run(arguments: &Record, output: &Output) -> Result<()> {
     output.print(format!("{}: {}", arguments.output.display(), summary(&progress)));
     for link in &progress.links {
         if let Some(clock) = &link.clock {
-            output.print(format!("{:8} {}", link.role, clock_text(clock)));
+            output.print(format!("{:8} {}", link.role, clock));
         }
         if let Some(text) = link.authentication.text() {
             output.print(format!("{:8} {text}", link.role));
@@ -150,24 +149,4 @@ pub fn left_out_text(batches: u64, rejected: u64) -> String {
         text += &format!(", {rejected} frames rejected (impossible sequence number or time)");
     }
     text
-}
-
-/// A clock in one line, with 1 σ.
-pub fn clock_text(clock: &ClockSummary) -> String {
-    let rate = format!(
-        "device clock {} by {} ppm (1 σ)",
-        if clock.rate_ppm > 0.0 { "slow" } else { "fast" },
-        with_sd(clock.rate_ppm.abs(), clock.rate_sd_ppm)
-    );
-    match clock.offset_bound_ms {
-        Some(bound) => {
-            let sd = clock.offset_sd_ms;
-            format!(
-                "{rate}; offset to host time ± {} ms (1 σ) if both directions are equally fast, otherwise within {} ms",
-                significant(sd, 2),
-                significant(bound.max(2.0 * sd), 2)
-            )
-        }
-        None => format!("{rate}; offset to host time uncertain by the (unknown) minimum latency"),
-    }
 }

@@ -34,7 +34,7 @@ const LOST_POSITION: f64 = 1e4;
 
 impl<const M: usize> ArrayFilter<M> {
     /// Alignment with the mean specific force; after a start in motion with that of the first rest.
-    pub(super) fn align(&mut self, step: f64, linear: &Linear<f64>, at_rest: bool) {
+    pub(super) fn align(&mut self, step: f64, linear: &Linear, at_rest: bool) {
         let align = &mut self.align;
         align.force += Vector3::from_fn(|i, _| linear.theta[3 + i]);
         align.time_s += step;

@@ -4,8 +4,6 @@ use heapless::Vec;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{ArraySolver, Linear, inner};
-use crate::Real;
-use crate::rotation::real;
 
 /// Damped Gauss-Newton steps; a good start takes 2 to 4.
 const MOST_STEPS: usize = 20;
@@ -16,36 +14,36 @@ const RULED_OUT: f64 = 18.0;
 
 /// One angular rate that fits a sample, and what follows from it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hypothesis<R> {
+pub struct Hypothesis {
     /// ω, rad/s, body axes.
-    pub rate_rad_s: [R; 3],
+    pub rate_rad_s: [f64; 3],
     /// ω̇, rad/s², body axes.
-    pub angular_acceleration_rad_s2: [R; 3],
+    pub angular_acceleration_rad_s2: [f64; 3],
     /// s, specific force at the weighted centre of the sensors, m/s², body axes.
-    pub specific_force_mps2: [R; 3],
+    pub specific_force_mps2: [f64; 3],
     /// Information about ω, the inverse of its covariance, (rad/s)⁻²: it vanishes at rest.
-    pub information: [[R; 3]; 3],
+    pub information: [[f64; 3]; 3],
     /// Sum of the squared residuals that ω should explain, of unit variance: [`ArraySolver::rank`] less three degrees of
     /// freedom.
-    pub chi_square: R,
+    pub chi_square: f64,
 }
 
-impl<R: Real> Hypothesis<R> {
+impl Hypothesis {
     /// Covariance of ω, (rad/s)²; `None` where the sample says nothing about a component, at rest.
-    pub fn covariance(&self) -> Option<[[R; 3]; 3]> {
+    pub fn covariance(&self) -> Option<[[f64; 3]; 3]> {
         inverse(&self.information.into()).map(Into::into)
     }
 }
 
 /// All angular rates that fit a sample.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Solution<R> {
-    hypotheses: Vec<Hypothesis<R>, 8>,
+pub struct Solution {
+    hypotheses: Vec<Hypothesis, 8>,
 }
 
-impl<R: Real> Solution<R> {
+impl Solution {
     /// The hypotheses, each with its opposite next to it, the best fit first.
-    pub fn hypotheses(&self) -> impl Iterator<Item = &Hypothesis<R>> {
+    pub fn hypotheses(&self) -> impl Iterator<Item = &Hypothesis> {
         self.hypotheses.iter()
     }
 
@@ -56,9 +54,9 @@ impl<R: Real> Solution<R> {
     }
 
     /// The hypothesis nearest to `rate_rad_s`, where it is expected from the history.
-    pub fn nearest(&self, rate_rad_s: [R; 3]) -> Option<&Hypothesis<R>> {
+    pub fn nearest(&self, rate_rad_s: [f64; 3]) -> Option<&Hypothesis> {
         let expected = Vector3::from(rate_rad_s);
-        let distance = |h: &&Hypothesis<R>| (Vector3::from(h.rate_rad_s) - expected).norm_squared();
+        let distance = |h: &&Hypothesis| (Vector3::from(h.rate_rad_s) - expected).norm_squared();
         self.hypotheses().min_by(|a, b| {
             distance(a).partial_cmp(&distance(b)).unwrap_or(core::cmp::Ordering::Equal)
         })
@@ -66,45 +64,45 @@ impl<R: Real> Solution<R> {
 }
 
 /// Fit at an angular rate.
-struct Fit<R> {
-    cost: R,
-    gradient: Vector3<R>,
-    information: Matrix3<R>,
+struct Fit {
+    cost: f64,
+    gradient: Vector3<f64>,
+    information: Matrix3<f64>,
 }
 
-impl<R: Real, const M: usize> ArraySolver<R, M> {
+impl<const M: usize> ArraySolver<M> {
     /// All angular rates that fit a sample, by [`ArraySolver::reduce`] and [`ArraySolver::roots_of`].
-    pub fn solve(&self, output_mps2: &[R; M]) -> Solution<R> {
+    pub fn solve(&self, output_mps2: &[f64; M]) -> Solution {
         self.roots_of(&self.reduce(output_mps2))
     }
 
     /// All angular rates that fit a reduced sample. Empty where the geometry shows no angular rate,
     /// or the sample is not finite.
-    pub fn roots_of(&self, linear: &Linear<R>) -> Solution<R> {
+    pub fn roots_of(&self, linear: &Linear) -> Solution {
         let mut solution = Solution { hypotheses: Vec::new() };
         let finite = linear.z.iter().chain(&linear.theta).all(|v| v.is_finite());
         if self.rank < 3 || !finite {
             return solution;
         }
         let q = core::array::from_fn(|row| inner(&self.u_inverse[row], &linear.z));
-        let mut starts = Vec::<Vector3<R>, 4>::new();
+        let mut starts = Vec::<Vector3<f64>, 4>::new();
         if self.rank == 6 {
             let _ = starts.push(closed_form(&q));
         } else {
-            let [x, y, z] = [q[0], q[1], q[2]].map(|square: R| square.abs().sqrt());
+            let [x, y, z] = [q[0], q[1], q[2]].map(|square: f64| libm::sqrt(square.abs()));
             // The closed form tells x y from −x y; z is mirrored. All patterns are tried, since
             // noise may hide any sign.
             starts.extend([[x, y, z], [x, y, -z], [x, -y, z], [-x, y, z]].map(Vector3::from));
         }
         let found: Vec<_, 4> = starts.into_iter().filter_map(|s| self.refine(linear, s)).collect();
-        let mut found: Vec<Hypothesis<R>, 4> = found;
+        let mut found: Vec<Hypothesis, 4> = found;
         found.sort_unstable_by(|a, b| {
             a.chi_square.partial_cmp(&b.chi_square).unwrap_or(core::cmp::Ordering::Equal)
         });
         let Some(best) = found.first().map(|h| h.chi_square) else {
             return solution;
         };
-        for one in found.iter().filter(|h| h.chi_square <= best + real(RULED_OUT)) {
+        for one in found.iter().filter(|h| h.chi_square <= best + RULED_OUT) {
             for hypothesis in [*one, self.complete(linear, -Vector3::from(one.rate_rad_s))] {
                 if !solution.hypotheses().any(|other| same(other, &hypothesis)) {
                     let _ = solution.hypotheses.push(hypothesis);
@@ -115,17 +113,17 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
     }
 
     /// The angular rate that fits a reduced sample near a start, rad/s: damped Gauss-Newton, equation (73).
-    fn refine(&self, linear: &Linear<R>, start: Vector3<R>) -> Option<Hypothesis<R>> {
+    fn refine(&self, linear: &Linear, start: Vector3<f64>) -> Option<Hypothesis> {
         let mut rate = start;
         let mut fit = self.evaluate(linear, &rate);
-        let mut damping = R::zero();
-        let more = |damping: R| (damping * real(10.0)).max(real(1e-3));
+        let mut damping = 0.0;
+        let more = |damping: f64| (damping * 10.0).max(1e-3);
         for _ in 0..MOST_STEPS {
             let mut damped = fit.information;
             let ridge = damping * damped.trace();
             damped.set_diagonal(&damped.diagonal().add_scalar(ridge));
             let Some(inverse) = inverse(&damped) else {
-                if damping > real(1e3) {
+                if damping > 1e3 {
                     break;
                 }
                 damping = more(damping);
@@ -134,12 +132,12 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
             let step = inverse * fit.gradient;
             let next = self.evaluate(linear, &(rate + step));
             // The predicted gain in χ², in parts of a standard deviation.
-            let is_small = step.dot(&fit.gradient) < real(1e-3);
+            let is_small = step.dot(&fit.gradient) < 1e-3;
             if next.cost <= fit.cost {
                 rate += step;
                 fit = next;
-                damping *= real(0.1);
-            } else if damping > real(1e3) {
+                damping *= 0.1;
+            } else if damping > 1e3 {
                 break;
             } else {
                 damping = more(damping);
@@ -151,7 +149,7 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         fit.cost.is_finite().then(|| self.complete(linear, rate))
     }
 
-    fn complete(&self, linear: &Linear<R>, rate: Vector3<R>) -> Hypothesis<R> {
+    fn complete(&self, linear: &Linear, rate: Vector3<f64>) -> Hypothesis {
         let fit = self.evaluate(linear, &rate);
         let [ax, ay, az, sx, sy, sz] = self.theta(linear, rate.into());
         Hypothesis {
@@ -163,10 +161,10 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
         }
     }
 
-    fn evaluate(&self, linear: &Linear<R>, rate: &Vector3<R>) -> Fit<R> {
+    fn evaluate(&self, linear: &Linear, rate: &Vector3<f64>) -> Fit {
         let (value, slope) = self.expected_z((*rate).into());
         let (gradient, information) = (Vector3::zeros(), Matrix3::zeros());
-        let mut fit = Fit { cost: R::zero(), gradient, information };
+        let mut fit = Fit { cost: 0.0, gradient, information };
         for row in 0..self.rank.min(6) {
             let residual = linear.z[row] - value[row];
             let slope = Vector3::from(slope[row]);
@@ -179,21 +177,21 @@ impl<R: Real, const M: usize> ArraySolver<R, M> {
 }
 
 /// Whether two roots are one: at rest, or where two starts lead to one minimum.
-fn same<R: Real>(a: &Hypothesis<R>, b: &Hypothesis<R>) -> bool {
+fn same(a: &Hypothesis, b: &Hypothesis) -> bool {
     let apart = Vector3::from(a.rate_rad_s) - Vector3::from(b.rate_rad_s);
-    apart.dot(&(Matrix3::from(a.information) * apart)) <= real(SAME_ROOT_SIGMA2)
+    apart.dot(&(Matrix3::from(a.information) * apart)) <= SAME_ROOT_SIGMA2
 }
 
 /// ω from the six monomials, up to its sign: equation (74).
-fn closed_form<R: Real>(q: &[R; 6]) -> Vector3<R> {
+fn closed_form(q: &[f64; 6]) -> Vector3<f64> {
     let [xx, yy, zz, yz, xz, xy] = *q;
     let largest = xx.max(yy).max(zz);
-    let root = largest.max(R::zero()).sqrt();
-    if root <= R::zero() {
+    let root = libm::sqrt(largest.max(0.0));
+    if root <= 0.0 {
         return Vector3::zeros();
     }
     // The largest component decides the others' signs; near rest noise must not make them larger.
-    let ratio = |product: R| (product / root).clamp(-root, root);
+    let ratio = |product: f64| (product / root).clamp(-root, root);
     if xx == largest {
         Vector3::new(root, ratio(xy), ratio(xz))
     } else if yy == largest {
@@ -204,7 +202,7 @@ fn closed_form<R: Real>(q: &[R; 6]) -> Vector3<R> {
 }
 
 /// Inverse of a symmetric, positive definite matrix; `None` where it is singular to rounding.
-fn inverse<R: Real>(matrix: &Matrix3<R>) -> Option<Matrix3<R>> {
+fn inverse(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let (trace, determinant) = (matrix.trace(), matrix.determinant());
-    if determinant > trace * trace * trace * real(1e-6) { matrix.try_inverse() } else { None }
+    if determinant > trace * trace * trace * 1e-6 { matrix.try_inverse() } else { None }
 }

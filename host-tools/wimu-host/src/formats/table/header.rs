@@ -19,7 +19,7 @@ const ROWS: usize = 3;
 /// Known columns that show a header whatever its width.
 const KNOWN: usize = 3;
 /// In the order in which they are preferred. A space stands for any white space.
-const SEPARATORS: [char; 5] = [';', '\t', ',', '|', ' '];
+pub const SEPARATORS: [char; 5] = [';', '\t', ',', '|', ' '];
 
 /// A table in a text.
 #[derive(Clone, Debug)]

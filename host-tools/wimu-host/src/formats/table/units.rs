@@ -39,8 +39,16 @@ const FIELDS: &Units = &[
 ];
 const COUNTS: &Units = &[(Scale::Counts, "lsb counts count raw adc"), (Scale::Unknown, "au arb")];
 const TEMPERATURES: &Units = &[(Scale::Si(1.0), "c degc celsius")];
-const LENGTHS: &Units = &[(Scale::Si(1.0), "m"), (Scale::Si(1e-3), "mm")];
-const SPEEDS: &Units = &[(Scale::Si(1.0), "m/s ms-1")];
+
+/// Size of units in SI units, and their spellings after [`canonical`].
+pub(crate) type Sizes = &'static [(f64, &'static str)];
+/// A number without a unit.
+pub(crate) const NUMBER: Sizes = &[(1.0, "")];
+pub(crate) const LENGTH: Sizes = &[(1.0, "m"), (1e-2, "cm"), (1e-3, "mm")];
+pub(crate) const TIME: Sizes =
+    &[(1.0, "s sec"), (1e-3, "ms msec"), (1e-6, "us usec"), (1e-9, "ns nsec")];
+pub(crate) const SPEED: Sizes = &[(1.0, "m/s ms-1"), (1.0 / 3.6, "km/h")];
+pub(crate) const ANGLE: Sizes = &[(1.0, "rad"), (DEGREE, "deg")];
 
 /// Nanoseconds of a unit of time, and its spellings.
 pub const TIMES: &[(i64, &str)] = &[
@@ -88,12 +96,17 @@ pub fn scale(quantity: Quantity, unit: &str) -> Option<Scale> {
         Quantity::AngularRate => &[RATES, COUNTS],
         Quantity::MagneticField => &[FIELDS, COUNTS],
         Quantity::Temperature => &[TEMPERATURES],
-        Quantity::Position => &[LENGTHS],
-        Quantity::Velocity => &[SPEEDS],
+        Quantity::Position => return size(LENGTH, unit).map(Scale::Si),
+        Quantity::Velocity => return size(SPEED, unit).map(Scale::Si),
         _ => &[],
     };
     let text = canonical(unit);
     known.iter().find_map(|units| spelled(units, &text))
+}
+
+/// Size of a unit in SI units.
+pub(crate) fn size(sizes: Sizes, unit: &str) -> Option<f64> {
+    spelled(sizes, &canonical(unit))
 }
 
 /// Nanoseconds of a unit of time.

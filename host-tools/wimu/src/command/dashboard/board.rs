@@ -336,7 +336,7 @@ impl Board {
         for (link, traffic) in self.links.iter_mut().zip(&self.traffic) {
             traffic.show(link);
         }
-        let navigated = navigated.map(|(point, [fixes, ranges])| {
+        let navigated = navigated.map(|(point, aids)| {
             let speed = point.velocity_mps.iter().map(|v| v * v).sum::<f64>();
             json!({
                 "position_m": point.position_m,
@@ -344,8 +344,7 @@ impl Board {
                 "speed_m_s": speed.sqrt(),
                 "resting": point.resting,
                 "valid": point.valid,
-                "fixes": fixes,
-                "ranges": ranges,
+                "aids": aids,
             })
         });
         let state = json!({

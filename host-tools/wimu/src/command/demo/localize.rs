@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use serde::Serialize;
 use wimu_host::digits::significant;
-use wimu_host::html::Report;
+use wimu_host::document::Document;
 use wimu_host::inertial::{InertialPath, PathPoint, consistency};
 use wimu_host::localization::AnchorFound;
 use wimu_host::motion::nees;
@@ -105,7 +105,7 @@ impl Demonstrated {
                 walks.foot.points.last().map_or(f64::NAN, PathPoint::sd_m),
             ],
             foot_integrated_m: end(&walks.integrated),
-            fixes: walks.fixes.fixes.len(),
+            fixes: walks.fixes.aids.len(),
             fixes_rmse_m: [rmse(&walks.foot), rmse(&walks.fixed)],
             report: arguments.report.display().to_string(),
         }
@@ -149,7 +149,7 @@ pub fn run(arguments: &Demo, folder: Option<&Path>, output: &Output) -> Result<(
         output.print(line);
     }
     let charts = walks.charts();
-    let mut page = Report::new("wimu demo --localize");
+    let mut page = Document::new("wimu demo --localize");
     page.result("Simulated walks with range anchors, a unit on a shoe, and position fixes");
     let three = |value: f64| format!("{} m", significant(value, 3));
     page.key("ranges before calibration, RMS", &three(found.before.rmse_m));

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use wimu_host::chart::{Chart, Series};
-use wimu_host::inertial::{Choice, Fixes, InertialPath, PathPoint, Profile, Zupt, navigate};
+use wimu_host::inertial::{Aids, Choice, InertialPath, PathPoint, Profile, Zupt, navigate};
 use wimu_host::localization::{LocalizationChoice, RangePrior, localize};
 use wimu_host::motion::MotionRecording;
 use wimu_host::{OutputFile, Problem, Result};
@@ -33,7 +33,7 @@ pub struct Walks {
     walk: MotionRecording,
     pub foot: InertialPath,
     pub integrated: InertialPath,
-    pub fixes: Fixes,
+    pub fixes: Aids,
     pub fixed: InertialPath,
 }
 
@@ -52,7 +52,7 @@ impl Walks {
         let alone =
             Choice { profile: Profile::Free, zupt: Zupt::Off, smooth: false, ..foot.clone() };
         let fixes = fixes(&strides, FIX_S, FIX_M, seed);
-        let aided = Choice { fixes: fixes.clone(), ..foot.clone() };
+        let aided = Choice { aids: fixes.clone(), ..foot.clone() };
         Ok(Self {
             before,
             after,
@@ -82,7 +82,7 @@ impl Walks {
         let walked = self.truth().step_by((self.walk.truth.len() / SHOWN).max(1));
         let walked = Series::line("truth", walked.map(level).collect());
         let anchors = HALL_M.map(level).to_vec();
-        let fixes = self.fixes.fixes.iter().map(|fix| level(fix.position_m));
+        let fixes = self.fixes.aids.iter().map(|fix| level(fix.value));
         [
             (
                 "ranges",
@@ -159,8 +159,8 @@ impl Walks {
         let mut fixes = "Time (s),Position E (m),Position N (m),Position U (m),\
             Position Sigma E (m),Position Sigma N (m),Position Sigma U (m)\n"
             .to_owned();
-        for fix in &self.fixes.fixes {
-            let ([e, n, u], [de, dn, du]) = (fix.position_m, fix.position_sd_m);
+        for fix in &self.fixes.aids {
+            let ([e, n, u], [de, dn, du]) = (fix.value, fix.sd);
             let _ = writeln!(fixes, "{:.1},{e:.3},{n:.3},{u:.3},{de},{dn},{du}", fix.time_s);
         }
         for (name, text) in [

@@ -1,49 +1,46 @@
-//! Firmware images: ELF, Intel HEX and UF2, and the check that they are for a board.
+//! Firmware images: Intel HEX and UF2, and the check that they are for a board.
 
-use crate::arguments::Board;
+use ihex::Record;
+
+use super::Facts;
 
 /// An address and the bytes there.
 pub type Segment = (u32, Vec<u8>);
 
-/// Reads an image in any of the formats; `None` if it is damaged or in another format.
+/// Reads an image in either format; `None` if it is damaged or in another format.
 pub fn segments(file: &[u8]) -> Option<Vec<Segment>> {
-    let found = if file.starts_with(b"\x7fELF") {
-        elf(file)
-    } else if file.starts_with(b":") {
-        hex(std::str::from_utf8(file).ok()?)
-    } else {
-        uf2(file)
-    };
+    let found =
+        if file.starts_with(b":") { hex(std::str::from_utf8(file).ok()?) } else { uf2(file) };
     found.filter(|segments| !segments.is_empty())
 }
 
 /// Why an image is not for a board; `None` if it is.
-pub fn objection(board: Board, segments: &[Segment]) -> Option<String> {
-    let chip = board.chip();
+pub fn objection(board: &Facts, file: &[u8], segments: &[Segment]) -> Option<String> {
+    let family = if file.starts_with(b":") { None } else { word(file, 28) };
+    if family != board.family {
+        return Some("its format or its UF2 family is that of another board".into());
+    }
+    let Facts { chip, flash, ram, vectors, .. } = board;
     for (address, bytes) in segments {
         let end = u64::from(*address) + bytes.len() as u64;
-        if *address < chip.flash.start || end > u64::from(chip.flash.end) {
+        if *address < flash.start || end > u64::from(flash.end) {
             return Some(format!(
-                "it has data at {address:#010x}, outside the flash of the {} ({:#010x} to {:#010x})",
-                chip.name, chip.flash.start, chip.flash.end
+                "it has data at {address:#010x}, outside the flash of the {chip} ({:#010x} to {:#010x})",
+                flash.start, flash.end
             ));
         }
     }
-    let word = |at: u32| {
-        let (start, bytes) = segments.iter().find(|(start, bytes)| {
-            at >= *start && u64::from(at - start) + 4 <= bytes.len() as u64
-        })?;
-        let offset = (at - start) as usize;
-        Some(u32::from_le_bytes(*bytes.get(offset..)?.first_chunk()?))
+    let at_vectors = segments.iter().find_map(|(start, bytes)| {
+        let offset = vectors.checked_sub(*start)? as usize;
+        word(bytes, offset)
+    });
+    let Some(stack) = at_vectors else {
+        return Some(format!("it has no vector table at {vectors:#010x}"));
     };
-    let Some(stack) = word(chip.vectors) else {
-        return Some(format!("it has no vector table at {:#010x}", chip.vectors));
-    };
-    let ram = chip.ram.start + 4..=chip.ram.end;
-    (!ram.contains(&stack)).then(|| {
+    (!(ram.start + 4..=ram.end).contains(&stack)).then(|| {
         format!(
-            "its stack begins at {stack:#010x}, outside the RAM of the {} ({:#010x} to {:#010x})",
-            chip.name, chip.ram.start, chip.ram.end
+            "its stack begins at {stack:#010x}, outside the RAM of the {chip} ({:#010x} to {:#010x})",
+            ram.start, ram.end
         )
     })
 }
@@ -52,68 +49,28 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-fn half(bytes: &[u8], at: usize) -> Option<usize> {
-    Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?).into())
-}
-
-/// Loadable segments of a 32-bit ARM ELF file, at their physical addresses.
-fn elf(file: &[u8]) -> Option<Vec<Segment>> {
-    const ARM: usize = 40;
-    const LOADED: u32 = 1;
-    if file.get(4..6)? != b"\x01\x01" || half(file, 0x12)? != ARM {
-        return None;
-    }
-    let table = word(file, 0x1c)? as usize;
-    let stride = half(file, 0x2a)?;
-    let mut segments = Vec::new();
-    for index in 0..half(file, 0x2c)? {
-        let at = table.checked_add(index * stride)?;
-        let offset = word(file, at + 4)? as usize;
-        let (address, size) = (word(file, at + 12)?, word(file, at + 16)? as usize);
-        if word(file, at)? == LOADED && size > 0 {
-            segments.push((address, file.get(offset..offset.checked_add(size)?)?.to_vec()));
-        }
-    }
-    Some(segments)
-}
-
-/// Intel HEX: lines of `:LLAAAATT…CC` with a checksum each.
+/// Intel HEX.
 fn hex(text: &str) -> Option<Vec<Segment>> {
     let mut segments: Vec<Segment> = Vec::new();
     let mut upper = 0_u32;
-    for line in text.lines().filter(|line| !line.is_empty()) {
-        let digits = line.trim_end().strip_prefix(':')?;
-        if !digits.is_ascii() || !digits.len().is_multiple_of(2) {
-            return None;
-        }
-        let bytes =
-            (0..digits.len() / 2).map(|k| u8::from_str_radix(&digits[2 * k..2 * k + 2], 16));
-        let bytes: Vec<u8> = bytes.collect::<Result<_, _>>().ok()?;
-        let sum = bytes.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
-        let [length, high, low, kind, content @ .., _] = &bytes[..] else {
-            return None;
-        };
-        if sum != 0 || content.len() != usize::from(*length) {
-            return None;
-        }
-        match (kind, content) {
-            (0, _) => {
-                let address = upper.checked_add(u32::from(u16::from_be_bytes([*high, *low])))?;
+    for record in ihex::Reader::new(text) {
+        match record.ok()? {
+            Record::Data { offset, value } => {
+                let address = upper.checked_add(offset.into())?;
                 match segments.last_mut() {
                     Some((start, bytes))
                         if u64::from(*start) + bytes.len() as u64 == u64::from(address) =>
                     {
-                        bytes.extend(content);
+                        bytes.extend(value);
                     }
-                    _ => segments.push((address, content.to_vec())),
+                    _ => segments.push((address, value)),
                 }
             }
-            (1, _) => return Some(segments),
-            (2, [high, low]) => upper = u32::from(u16::from_be_bytes([*high, *low])) << 4,
-            (4, [high, low]) => upper = u32::from(u16::from_be_bytes([*high, *low])) << 16,
+            Record::EndOfFile => return Some(segments),
+            Record::ExtendedSegmentAddress(high) => upper = u32::from(high) << 4,
+            Record::ExtendedLinearAddress(high) => upper = u32::from(high) << 16,
             // The start address is in the vector table.
-            (3 | 5, _) => {}
-            _ => return None,
+            Record::StartSegmentAddress { .. } | Record::StartLinearAddress(_) => {}
         }
     }
     // The end record is missing.
@@ -141,29 +98,39 @@ fn uf2(file: &[u8]) -> Option<Vec<Segment>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::arguments::Board;
 
     /// Vectors whose stack begins at the end of a chip's memory.
-    fn image(board: Board) -> Vec<Segment> {
-        let chip = board.chip();
-        let mut code = chip.ram.end.to_le_bytes().to_vec();
+    fn image(board: &Facts) -> (Vec<u8>, Vec<Segment>) {
+        let mut code = board.ram.end.to_le_bytes().to_vec();
         code.resize(64, 0xA5);
-        vec![(chip.vectors, code)]
+        let mut file = vec![0; 32];
+        match board.family {
+            Some(family) => file[28..].copy_from_slice(&family.to_le_bytes()),
+            None => file[0] = b':',
+        }
+        (file, vec![(board.vectors, code)])
     }
 
     #[test]
     fn an_image_is_for_its_own_board_only() {
-        let [first, second] = [Board::MicrobitV2, Board::PicoAdxl345];
-        for (own, other) in [(first, second), (second, first)] {
-            assert_eq!(objection(own, &image(own)), None);
-            let why = objection(other, &image(own)).expect("refused");
-            assert!(why.contains(other.chip().name), "{why}");
+        for own in Board::ALL.map(Board::facts) {
+            let (file, segments) = image(own);
+            assert_eq!(objection(own, &file, &segments), None);
+            for other in
+                Board::ALL.map(Board::facts).into_iter().filter(|other| other.name != own.name)
+            {
+                assert!(objection(other, &file, &segments).is_some(), "{}", other.name);
+            }
+            // Another chip with flash at the same place has its memory elsewhere, or more of it.
+            let stack = 0x2040_0000_u32.to_le_bytes();
+            let why = objection(own, &file, &[(own.vectors, stack.to_vec())]).expect("refused");
+            assert!(why.contains("0x20400000"), "{why}");
+            assert!(
+                objection(own, &file, &[(own.vectors + 4, vec![0; 64])]).is_some(),
+                "no vectors"
+            );
         }
-        // Another chip with flash at the same place has its memory elsewhere, or more of it.
-        let mut code = image(first);
-        code[0].1[..4].copy_from_slice(&0x2040_0000_u32.to_le_bytes());
-        let why = objection(first, &code).expect("refused");
-        assert!(why.contains("0x20400000"), "{why}");
-        assert!(objection(first, &[(0x100, vec![0; 64])]).is_some(), "no vectors");
     }
 
     #[test]
@@ -208,30 +175,5 @@ mod tests {
         assert_eq!(at, [0x1000_0000, 0x1000_0100]);
         assert_eq!(segments(&file[..512]), None);
         assert_eq!(segments(&file[..700]), None);
-    }
-
-    #[test]
-    fn no_cut_or_damaged_file_panics() {
-        let mut file = b"\x7fELF\x01\x01".to_vec();
-        file.resize(0x34, 0);
-        file[0x12] = 40;
-        file[0x1c] = 0x34;
-        file[0x2a] = 32;
-        file[0x2c] = 1;
-        let mut header = Vec::new();
-        for word in [1_u32, 0x54, 0, 0x1000_0100, 4, 4, 5, 4] {
-            header.extend(word.to_le_bytes());
-        }
-        file.extend(header);
-        file.extend(b"code");
-        assert_eq!(segments(&file), Some(vec![(0x1000_0100, b"code".to_vec())]));
-        for cut in 0..file.len() {
-            assert_eq!(segments(&file[..cut]), None, "{cut}");
-        }
-        for at in 0..file.len() {
-            file[at] ^= 0xFF;
-            let _ = segments(&file);
-            file[at] ^= 0xFF;
-        }
     }
 }

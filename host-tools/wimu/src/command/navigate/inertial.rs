@@ -6,22 +6,23 @@ use serde::Serialize;
 use wimu_host::calibration::{Calibration, read_parameters};
 use wimu_host::capture::Capture;
 use wimu_host::formats;
-use wimu_host::inertial::{Choice, Fixes, InertialPath, Summary, navigate};
+use wimu_host::inertial::aids::Mounting;
+use wimu_host::inertial::{Aids, Choice, InertialPath, navigate};
 use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::plural::counted;
 use wimu_host::{Code, Input, Problem, Result, navigation};
 
 use super::array;
-use crate::arguments::{Aids, Navigate, Smoothing, ZeroVelocity};
+use crate::arguments::{Aids as Options, Navigate, Smoothing, ZeroVelocity};
 use crate::command::array::Refined;
 use crate::output::{Output, usage};
 
-/// A path, as `--json` prints it.
+/// A path, and what refined the geometry of an array.
 #[derive(Serialize)]
 pub struct Found {
     #[serde(flatten)]
-    path: Summary,
+    path: InertialPath,
     /// Of an array.
     refined: Option<Refined>,
 }
@@ -33,8 +34,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
         Some(geometry) => {
             let choice = choice(arguments)?;
             let (path, refined) = array::path(arguments, geometry, &choice, output)?;
-            let mut found =
-                present(arguments, &path, &path.findings, Some(&choice), source, output)?;
+            let mut found = present(arguments, path, None, Some(&choice), source, output)?;
             found.refined = refined;
             found
         }
@@ -110,14 +110,14 @@ pub fn one_unit(
 ) -> Result<Found> {
     let choice = choice(arguments)?;
     let path = navigate(recording, &choice)?;
-    present(arguments, &path, &path.findings, Some(&choice), source, output)
+    present(arguments, path, None, Some(&choice), source, output)
 }
 
 /// What the options say.
 pub fn choice(arguments: &Navigate) -> Result<Choice> {
     let mut aided = aided_choice(&arguments.aids)?;
     if let Some(odometry) = &arguments.odometry {
-        aided.fixes = aided.fixes.with_odometry(odometry)?;
+        aided.aids.extend(Aids::read_odometry(odometry)?);
     }
     Ok(Choice {
         zupt: ZeroVelocity::of(arguments.zupt),
@@ -132,35 +132,39 @@ pub fn choice(arguments: &Navigate) -> Result<Choice> {
 }
 
 /// What the options of the aids say, and the defaults.
-pub fn aided_choice(aids: &Aids) -> Result<Choice> {
-    let fixes = match &aids.fixes {
-        // A link has none yet.
-        Some(from) => match Input::parse(&from.to_string_lossy())? {
-            Input::Link(_) => Fixes::default(),
-            _ => Fixes::read(from, aids.setup.fix_delay_s)?,
-        },
-        None => Fixes::default(),
-    };
-    Ok(Choice {
-        profile: aids.profile.into(),
-        fixes: Fixes { lever_arm_m: aids.setup.lever_arm_m.unwrap_or_default(), ..fixes },
-        ..Choice::default()
-    })
+pub fn aided_choice(options: &Options) -> Result<Choice> {
+    let mut aids = Aids::default();
+    if let Some(from) = &options.fixes
+        && !matches!(Input::parse(&from.to_string_lossy())?, Input::Link(_))
+    {
+        aids = Aids::read(from, &mounting(options))?;
+    }
+    Ok(Choice { profile: options.profile.into(), aids, ..Choice::default() })
 }
 
-/// Prints a path with the findings that are `new` to the user, and writes it; returns its object. `choice` is that of a path
-/// from inertial samples.
+/// How the other system is mounted.
+pub fn mounting(options: &Options) -> Mounting {
+    let setup = &options.setup;
+    Mounting {
+        lever_arm_m: setup.lever_arm_m.unwrap_or_default(),
+        delay_s: setup.fix_delay_s,
+        time_sd_s: setup.fix_time_sd_s,
+    }
+}
+
+/// Prints a path with its findings, or those that are `new` to the user, and writes it; returns its object. `choice` is that of
+/// a path from inertial samples.
 pub fn present(
     arguments: &Navigate,
-    path: &InertialPath,
-    new: &[Problem],
+    path: InertialPath,
+    new: Option<&[Problem]>,
     choice: Option<&Choice>,
     source: String,
     output: &Output,
 ) -> Result<Found> {
     let text = path.text(choice, arguments.aids.fixes.is_some());
     output.print(text.trim_end());
-    output.findings(new);
+    output.findings(new.unwrap_or(&path.findings));
     if let Some(file) = &arguments.output {
         path.write(file)?;
         output.print(format!("wrote {} to {}", counted(path.points.len(), "row"), file.display()));
@@ -169,5 +173,5 @@ pub fn present(
         path.page(&source, &text).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
-    Ok(Found { path: path.summary(source, choice), refined: None })
+    Ok(Found { path: InertialPath { source, ..path }, refined: None })
 }

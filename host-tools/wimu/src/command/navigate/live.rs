@@ -1,16 +1,17 @@
 //! `wimu navigate LINK`.
 
-use serde::Serialize;
+use std::collections::BTreeMap;
+
 use wimu_host::decode::{Arrival, Event};
-use wimu_host::inertial::{Aided, Choice, Fix, FixLink, Fixes, LeastDelay, Live, PathPoint};
+use wimu_host::inertial::{Aid, AidLink, AidUse, Choice, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
 use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::{Code, Input, Problem, Result};
 
-use super::inertial::{aided_choice, choice, present};
+use super::inertial::{aided_choice, choice, mounting, present};
 use super::shown::{Shown, WAIT, corrected_there, writable};
-use crate::arguments::{Aids, Navigate};
+use crate::arguments::{Aids as Options, Navigate};
 use crate::command::{connect, listen_until};
 use crate::output::{Output, usage};
 
@@ -19,57 +20,21 @@ const LATE_S: f64 = 0.5;
 /// Longest, s.
 const MOST_LATE_S: f64 = 2.0;
 
-/// A position, as `--json` prints it.
-#[derive(Serialize)]
-struct Pose {
-    /// Device clock.
-    time_s: f64,
-    position_m: [f64; 3],
-    sigma_m: [f64; 3],
-    velocity_m_s: [f64; 3],
-    velocity_sigma_m_s: [f64; 3],
-    /// W, X, Y, Z, body axes to east-north-up.
-    quaternion: [f64; 4],
-    /// About east, north and up.
-    attitude_sigma_rad: [f64; 3],
-    resting: bool,
-    valid: bool,
+/// A line of a position, where so many headings are possible.
+fn text(point: &PathPoint, headings: usize) -> String {
+    let [e, n, u] = point.position_m;
+    let (sd, speed) = (point.sd_m(), norm(point.velocity_mps));
+    let motion = if point.resting { "at rest".to_owned() } else { format!("{speed:.2} m/s") };
+    let note = match (point.valid, headings) {
+        (true, _) => String::new(),
+        (false, 2..) => format!("  not valid: {headings} starts fit, move"),
+        (false, _) => "  not valid".to_owned(),
+    };
+    format!("{:8.2} s  E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m  {motion}{note}", point.time_s)
 }
 
-impl Pose {
-    fn of(point: &PathPoint) -> Self {
-        Self {
-            time_s: point.time_s,
-            position_m: point.position_m,
-            sigma_m: point.sigma_m(),
-            velocity_m_s: point.velocity_mps,
-            velocity_sigma_m_s: point.velocity_sd_mps,
-            quaternion: point.quaternion,
-            attitude_sigma_rad: point.attitude_sd_rad,
-            resting: point.resting,
-            valid: point.valid,
-        }
-    }
-
-    /// A line, where so many headings are possible.
-    fn text(&self, headings: usize) -> String {
-        let [e, n, u] = self.position_m;
-        let sd = self.sigma_m.iter().map(|s| s * s).sum::<f64>().sqrt();
-        let speed = self.velocity_m_s.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let motion = match self.resting {
-            true => "at rest".to_owned(),
-            false => format!("{speed:.2} m/s"),
-        };
-        let note = match (self.valid, headings) {
-            (true, _) => String::new(),
-            (false, 2..) => format!("  not valid: {headings} starts fit, move"),
-            (false, _) => "  not valid".to_owned(),
-        };
-        format!(
-            "{:8.2} s  E {e:+.3} N {n:+.3} U {u:+.3} m ± {sd:.3} m  {motion}{note}",
-            self.time_s
-        )
-    }
+fn norm(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 /// Navigates the samples of a board while they arrive.
@@ -94,8 +59,7 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
             && shown.is_due(newest_s)
             && let Some(point) = session.live.now()
         {
-            let pose = Pose::of(&point);
-            shown.show(newest_s, &pose, || pose.text(session.live.headings()));
+            shown.show(newest_s, &point, || text(&point, session.live.headings()));
             points.push(point);
         }
         shown.say(fixes.findings());
@@ -113,26 +77,27 @@ pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     path.findings.extend(fixes.findings().iter().cloned());
     let mut new = path.findings.clone();
     new.retain(|finding| shown.is_new(finding));
-    output.object(&present(arguments, &path, &new, Some(&choice), link.to_owned(), output)?);
+    output.object(&present(arguments, path, Some(&new), Some(&choice), link.to_owned(), output)?);
     ended
 }
 
-/// Where fixes or ranges come from.
+/// Where aids come from.
 enum Aiding {
     None,
     /// At times of the device's clock, and what was noticed at reading.
-    Table(Vec<Fix>, Vec<Problem>),
-    Link(Box<FixLink>),
+    Table(Vec<Aid>, Vec<Problem>),
+    Link(Box<AidLink>),
 }
 
 impl Aiding {
     /// Opens what the options name, and gives the choice the anchors.
-    fn of(aids: &Aids, choice: &mut Choice) -> Result<Self> {
-        let fixes = std::mem::take(&mut choice.fixes.fixes);
-        if let Some(anchors) = &aids.setup.anchors {
-            choice.fixes.ranging = Some(Ranging::read(anchors, aids.setup.range_errors)?);
+    fn of(options: &Options, choice: &mut Choice) -> Result<Self> {
+        let (setup, mounting) = (&options.setup, mounting(options));
+        let aids = std::mem::take(&mut choice.aids.aids);
+        if let Some(anchors) = &setup.anchors {
+            choice.aids.ranging = Some(Ranging::read(anchors, setup.range_errors)?);
         }
-        let from = match (&aids.fixes, &aids.ranges, &aids.setup.anchors) {
+        let from = match (&options.fixes, &options.ranges, &setup.anchors) {
             (Some(from), ..) | (_, Some(from), _) => from,
             (.., Some(_)) => {
                 let remedy = "give the ranges: --ranges FILE or LINK";
@@ -141,34 +106,33 @@ impl Aiding {
             _ => return Ok(Self::None),
         };
         if let Input::Link(url) = Input::parse(&from.to_string_lossy())? {
-            let ranging = choice.fixes.ranging.clone();
-            return Ok(Self::Link(Box::new(FixLink::open(&url, aids.setup.fix_delay_s, ranging)?)));
+            let ranging = choice.aids.ranging.clone();
+            return Ok(Self::Link(Box::new(AidLink::open(&url, mounting, ranging)?)));
         }
-        let Some(anchors) = &aids.setup.anchors else {
-            return Ok(Self::Table(fixes, Vec::new()));
+        let Some(anchors) = &setup.anchors else {
+            return Ok(Self::Table(aids, Vec::new()));
         };
-        let read = RangeRecording::read(from, anchors)?.delayed(aids.setup.fix_delay_s);
-        let fixes = read.ranges.into_iter().map(Fix::from).collect();
-        Ok(Self::Table(fixes, read.findings))
+        let read = RangeRecording::read(from, anchors)?.delayed(mounting.delay_s);
+        let aids = read.ranges.iter().map(|range| range.aid(&mounting)).collect();
+        Ok(Self::Table(aids, read.findings))
     }
 
-    /// How late fixes may be, s.
-    fn late_s(&self, aids: &Aids) -> f64 {
+    /// How late aids may be, s.
+    fn late_s(&self, options: &Options) -> f64 {
         match self {
             Self::None => 0.0,
-            _ => (aids.setup.fix_delay_s + LATE_S).clamp(LATE_S, MOST_LATE_S),
+            _ => (options.setup.fix_delay_s + LATE_S).clamp(LATE_S, MOST_LATE_S),
         }
     }
 
     fn give(&mut self, session: &mut Session) {
         match self {
             Self::None => {}
-            Self::Table(fixes, _) => fixes.drain(..).for_each(|fix| session.live.fix(fix)),
+            Self::Table(aids, _) => aids.drain(..).for_each(|aid| session.live.aid(aid)),
             Self::Link(link) => {
-                for fix in link.arrived() {
+                for aid in link.arrived() {
                     let offset_s = session.clock.offset_s().unwrap_or_default();
-                    let time_s = fix.time_s + offset_s;
-                    session.live.fix(Fix { time_s, ..fix });
+                    session.live.aid(Aid { time_s: aid.time_s + offset_s, ..aid });
                 }
             }
         }
@@ -196,8 +160,7 @@ struct Session {
 
 impl Session {
     fn new(choice: &Choice, name: &str, late_s: f64) -> Self {
-        let choice =
-            Choice { fixes: Fixes { fixes: Vec::new(), ..choice.fixes.clone() }, ..choice.clone() };
+        let choice = choice.clone();
         let of = MotionRecording::new(name, Vec::new(), Vec::new());
         Self {
             live: Live::new(choice.clone(), of, late_s),
@@ -249,10 +212,10 @@ pub struct Beside {
 impl Beside {
     /// # Errors
     /// Those of the files and links that the options name.
-    pub fn new(aids: &Aids, link: &str) -> Result<Self> {
-        let mut choice = aided_choice(aids)?;
-        let fixes = Aiding::of(aids, &mut choice)?;
-        let session = Session::new(&choice, link, fixes.late_s(aids));
+    pub fn new(options: &Options, link: &str) -> Result<Self> {
+        let mut choice = aided_choice(options)?;
+        let fixes = Aiding::of(options, &mut choice)?;
+        let session = Session::new(&choice, link, fixes.late_s(options));
         Ok(Self { fixes, session })
     }
 
@@ -263,9 +226,9 @@ impl Beside {
         self.session.take(arrival).map(drop)
     }
 
-    /// Where the unit is, and what happened to fixes and ranges.
-    pub fn now(&self) -> Option<(PathPoint, [Aided; 2])> {
+    /// Where the unit is, and what happened to the aids.
+    pub fn now(&self) -> Option<(PathPoint, BTreeMap<&'static str, AidUse>)> {
         let live = &self.session.live;
-        Some((live.now()?, live.aided()))
+        Some((live.now()?, live.aids()))
     }
 }

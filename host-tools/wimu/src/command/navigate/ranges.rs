@@ -46,7 +46,7 @@ pub fn run(arguments: &Navigate, anchors: &Path, output: &Output) -> Result<()> 
     };
     let path = localize(&recording, &choice)?;
     let source = wimu_host::untrusted::name(&arguments.input);
-    let found = inertial::present(arguments, &path, &path.findings, None, source, output)?;
+    let found = inertial::present(arguments, path, None, None, source, output)?;
     output.object(&found);
     Ok(())
 }

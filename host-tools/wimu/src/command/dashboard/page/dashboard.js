@@ -442,9 +442,9 @@ function spaceCard(board) {
     const n = state.navigated;
     text(start, state.navigating ? "End navigation" : "Navigate");
     const p = n?.position_m || state.line?.position_m;
-    const aid = (name, a) => (a.used + a.rejected + a.late ? `; ${name}: ${a.used} used, ${a.rejected + a.late} not` : "");
+    const aid = ([name, a]) => (a.used + a.rejected + a.late ? `; ${name}: ${a.used} used, ${a.rejected + a.late} not` : "");
     text(figures, p ? `position E ${signed(p[0], 2)}  N ${signed(p[1], 2)}  U ${signed(p[2], 2)} m` + (n
-      ? ` ± ${significant(Math.hypot(...n.sigma_m))} m, ${n.resting ? "at rest" : fixed(n.speed_m_s, 2) + " m/s"}${n.valid ? "" : ", not valid"}${aid("fixes", n.fixes)}${aid("ranges", n.ranges)}`
+      ? ` ± ${significant(Math.hypot(...n.sigma_m))} m, ${n.resting ? "at rest" : fixed(n.speed_m_s, 2) + " m/s"}${n.valid ? "" : ", not valid"}${Object.entries(n.aids).map(aid).join("")}`
       : ", as the device computes it") : state.navigating ? "the first position needs three seconds" : "");
     hint.hidden = !!board.path;
     if (board.path && board.path !== shown) {

@@ -1,0 +1,229 @@
+//! Nested models beside an estimate: what its residuals show of the sensor, in one list of hypotheses.
+
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use wimu_calib::{Estimate, Method, Nested, Pose, Term, Terms, TestedPose, Unexplained};
+use wimu_model::STANDARD_GRAVITY_MPS2 as G;
+
+use crate::{Code, Problem};
+
+/// Fewest poses before and after a step.
+const MIN_SIDE: usize = 3;
+/// Largest number of times at which a step is tested.
+const MAX_TIMES: usize = 100;
+/// Smallest residual that is tested, m/s²: of data without noise, the rounding is not a drift.
+const FLOOR_MPS2: f64 = 1e-4;
+
+/// What may have changed, or is missing in the model.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    /// Of the bias, with this time constant as a fraction of the session.
+    Drift(f64),
+    Temperature,
+    Quadratic,
+    /// At one time, of an axis.
+    Step(Step, usize),
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Step {
+    Bias,
+    Gain,
+    /// Of the bias and of the misalignments, as a changed sign appears.
+    Sign,
+}
+
+/// A hypothesis: terms that the model lacks.
+struct Hypothesis {
+    kind: Kind,
+    /// Probability of a finding in a session without the effect: a cold start is more frequent than the others.
+    false_alarm: f64,
+    terms: usize,
+    /// Terms of the model with which it is not tested.
+    unless: Option<Term>,
+}
+
+const fn bias(kind: Kind, false_alarm: f64, unless: Option<Term>) -> Hypothesis {
+    Hypothesis { kind, false_alarm, terms: 3, unless }
+}
+
+const SESSION: [Hypothesis; 4] = [
+    bias(Kind::Drift(0.3), 0.003, None),
+    bias(Kind::Drift(f64::INFINITY), 0.003, None),
+    bias(Kind::Temperature, 0.001, Some(Term::BiasTemperature)),
+    bias(Kind::Quadratic, 0.0005, Some(Term::Quadratic)),
+];
+/// The false alarms are those over all times and axes.
+const STEPS: [(Step, f64, usize); 3] =
+    [(Step::Bias, 0.0007, 1), (Step::Gain, 0.0007, 1), (Step::Sign, 0.0007, 3)];
+
+impl Kind {
+    /// Derivative of |f| by a term, at a pose before or after (`late`) the time of a step.
+    fn derivative(self, pose: &TestedPose, late: bool, term: usize) -> f64 {
+        let (up, late) = (pose.up, f64::from(u8::from(late)));
+        match self {
+            Self::Drift(f64::INFINITY) => up[term] * pose.progress,
+            Self::Drift(constant) => up[term] * (1.0 - (-pose.progress / constant).exp()),
+            Self::Temperature => up[term] * pose.warmer_k,
+            Self::Quadratic => G * G * up[term].powi(3),
+            Self::Step(Step::Gain, axis) => G * up[axis] * up[axis] * late,
+            Self::Step(_, axis) if term == 0 => up[axis] * late,
+            Self::Step(_, axis) => G * up[axis] * up[(axis + term) % 3] * late,
+        }
+    }
+
+    /// What is found and what to do; `size` is the largest term, `fitted` the terms of the model.
+    fn problem(self, size: f64, fitted: Terms) -> Problem {
+        let separately =
+            "calibrate the poses before and after it separately; check the mounting and the driver";
+        let axis = |axis: usize| ["X", "Y", "Z"][axis];
+        let (mm, percent) = (size * 1e3, size * 1e2);
+        let (code, text, remedy) = match self {
+            Self::Drift(_) if fitted.contains(Term::Drift) => (
+                Code::Drift,
+                "the bias drift was not linear, as during warm-up: the bias at the end exceeds its interval".to_owned(),
+                "record again when the sensor is warm, or with its temperature and --model auto+temperature",
+            ),
+            Self::Drift(_) => (
+                Code::Drift,
+                format!("the bias drifted by {:.0} mm/s²", mm.abs()),
+                "use --model 9+drift, or record again when the sensor is warm",
+            ),
+            Self::Temperature => (
+                Code::Temperature,
+                format!("the bias changed with temperature by {:.2} mm/s² per K", mm.abs()),
+                "use --model 9+temperature",
+            ),
+            Self::Quadratic => (
+                Code::Residuals,
+                format!("the output is not linear: quadratic term {size:.1e} s²/m"),
+                "use --model 9+quadratic",
+            ),
+            Self::Step(Step::Bias, k) => (
+                Code::Step,
+                format!("the bias of {} changed by {mm:+.0} mm/s² between two poses", axis(k)),
+                separately,
+            ),
+            Self::Step(Step::Gain, k) => (
+                Code::Step,
+                format!("the scale factor of {} changed by {percent:+.1} % between two poses", axis(k)),
+                separately,
+            ),
+            Self::Step(Step::Sign, k) => {
+                (Code::Step, format!("the sign of {} changed between two poses", axis(k)), separately)
+            }
+        };
+        code.warning(text).remedy(remedy)
+    }
+}
+
+/// A significant hypothesis.
+#[derive(Clone, Copy)]
+struct Found {
+    kind: Kind,
+    /// Index, in the order of time, of the first pose after a step.
+    after: usize,
+    /// The largest term, of a step the first.
+    size: f64,
+    /// Bayesian information criterion; lower is better.
+    score: f64,
+}
+
+/// The most likely of the significant hypotheses. `refit` is the fit of other poses; `since_start_s` the time of a pose, s
+/// since the start of the data.
+pub(super) fn finding(
+    poses: &[Pose],
+    estimate: &Estimate,
+    refit: impl Fn(&[Pose]) -> Option<Estimate>,
+    since_start_s: impl Fn(&Pose) -> f64,
+) -> Option<Problem> {
+    // A model that violates a bound explains the residuals already.
+    if !matches!(estimate.method, Method::MultiPosition(_)) || estimate.beyond_bounds.is_some() {
+        return None;
+    }
+    let tested = |all: bool| {
+        let unexplained = Unexplained::new(poses, estimate, all)?;
+        Some((likeliest(&unexplained, estimate.terms)?, unexplained))
+    };
+    let rejected = estimate.rejected.len();
+    // A step may have caused the rejection of the poses beyond it.
+    let (mut found, unexplained) =
+        tested(rejected == 0).or_else(|| tested(true).filter(|_| rejected >= MIN_SIDE))?;
+    let rows = unexplained.poses();
+    if let Kind::Step(Step::Bias | Step::Sign, axis) = found.kind {
+        found.kind = Kind::Step(Step::Bias, axis);
+        let mut flipped = poses.to_vec();
+        for pose in flipped.iter_mut().filter(|pose| pose.time_s >= rows[found.after].time_s) {
+            pose.mean_mps2[axis] = -pose.mean_mps2[axis];
+        }
+        let is_better = refit(&flipped).is_some_and(|fit| {
+            let squares = fit.fitted_rms_mps2.powi(2) * fit.poses as f64;
+            fit.rejected.len() <= rejected && score(squares, rows.len(), 1) < found.score
+        });
+        if is_better {
+            found.kind = Kind::Step(Step::Sign, axis);
+        }
+    }
+    let ends = match found.kind {
+        Kind::Step(..) => [found.after - 1, found.after],
+        _ => [0, rows.len() - 1],
+    };
+    let [from_s, to_s] = ends.map(|k| since_start_s(&poses[rows[k].index]));
+    Some(found.kind.problem(found.size, estimate.terms).between(from_s, to_s))
+}
+
+fn likeliest(unexplained: &Unexplained, fitted: Terms) -> Option<Found> {
+    let count = unexplained.poses().len();
+    let mut found = Vec::new();
+    let of_session = SESSION.iter().filter(|h| !h.unless.is_some_and(|term| fitted.contains(term)));
+    for hypothesis in of_session {
+        found.extend(test(unexplained, hypothesis, 0));
+    }
+    let times = (MIN_SIDE..=count.saturating_sub(MIN_SIDE)).step_by(count.div_ceil(MAX_TIMES));
+    let tests = (3 * times.clone().count().max(1)) as f64;
+    for after in times {
+        for axis in 0..3 {
+            for (step, false_alarm, terms) in STEPS {
+                let (kind, false_alarm) = (Kind::Step(step, axis), false_alarm / tests);
+                let hypothesis = Hypothesis { kind, false_alarm, terms, unless: None };
+                found.extend(test(unexplained, &hypothesis, after));
+            }
+        }
+    }
+    found.into_iter().min_by(|a, b| a.score.total_cmp(&b.score))
+}
+
+/// The hypothesis, of a step before pose `after`, if chance explains the residuals with a probability below its false alarm.
+fn test(unexplained: &Unexplained, hypothesis: &Hypothesis, after: usize) -> Option<Found> {
+    let &Hypothesis { kind, false_alarm, terms, .. } = hypothesis;
+    let first_s = unexplained.poses().get(after)?.time_s;
+    let nested = unexplained
+        .with(terms, |pose, term| kind.derivative(pose, pose.time_s >= first_s, term))?;
+    let is_step = matches!(kind, Kind::Step(..));
+    // The many hypotheses of a step need the scatter that sensors have. It would hide the drift of those with less.
+    let probability = if is_step {
+        probability(&nested.clone().with_usual_scatter(), 0.0)
+    } else {
+        probability(&nested, FLOOR_MPS2)
+    };
+    let largest = |a: f64, b: &f64| if b.abs() > a.abs() { *b } else { a };
+    (probability? < false_alarm).then(|| Found {
+        kind,
+        after,
+        size: if is_step { nested.size[0] } else { nested.size.iter().fold(0.0, largest) },
+        score: score(nested.squares[1], unexplained.poses().len(), terms + usize::from(is_step)),
+    })
+}
+
+/// Probability that the statistic is exceeded without the terms.
+fn probability(nested: &Nested, floor_mps2: f64) -> Option<f64> {
+    let [terms, rest] = nested.dof.map(|dof| dof as f64);
+    let fisher = FisherSnedecor::new(terms, rest).ok()?;
+    Some(fisher.sf(nested.statistic(floor_mps2)))
+}
+
+/// Bayesian information criterion of `parameters` beyond the fitted ones that leave `squares`, (m/s²)², in `count` poses.
+fn score(squares: f64, count: usize, parameters: usize) -> f64 {
+    let scatter =
+        Nested { size: Vec::new(), squares: [0.0, squares], dof: [0, count] }.with_usual_scatter();
+    scatter.dof[1] as f64 * scatter.squares[1].ln() + parameters as f64 * (count as f64).ln()
+}

@@ -1,0 +1,25 @@
+//! Velocity by another system.
+
+use wimu_nav::sensor::Velocity;
+
+use super::Kind;
+use crate::formats::table::SPEED;
+
+/// Velocity. Usual σ: the Doppler shift of GNSS.
+pub static VELOCITY: Kind = Kind {
+    name: "velocity",
+    one: "velocity fix",
+    columns: &[&["Velocity E"], &["Velocity N"], &["Velocity U"]],
+    unit: SPEED,
+    usual_sd: Some(0.2),
+    is_whole: true,
+    update: |aid, to| {
+        // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (docs/reference/validation.md, car).
+        if to.with_position && to.navigator.vehicle().is_some() {
+            return None;
+        }
+        let deviation_mps = aid.sd.into_iter().fold(0.0, f64::max);
+        to.with(Velocity { velocity_mps: aid.value.into(), deviation_mps, offset: None })
+    },
+    ..Kind::DEFAULT
+};

@@ -1,0 +1,446 @@
+//! A unit that is navigated step by step, with what carries it and what aids it. Every path is a loop over it: recorded and
+//! live, with inertial samples, with wheels, and from ranges alone.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nalgebra::{Matrix3, Vector3};
+use wimu_nav::navigator::{self, Sample, SampleFault};
+use wimu_nav::process::{ConstantVelocity, Odometry, OdometryBlocks, OdometryErrors, RandomWalk};
+use wimu_nav::state::{Block, Role};
+
+use super::aids::position::POSITION;
+use super::aids::range::RANGE;
+use super::aids::{Aid, Kind, State, Update};
+use super::path::StateFound;
+use super::segments::Segments;
+use super::smooth::Tape;
+use super::uses::{AidUse, Lag, Suspects};
+use super::{Move, PathPoint, Residual, vehicle};
+use crate::localization::{AnchorStates, Increment};
+use crate::plural::counted;
+use crate::{Code, Problem};
+
+/// A start in motion ends with the first rest of this length, s.
+pub(super) const FIRST_REST_S: f64 = 0.5;
+/// Part of the readings of the magnetic field above which rejected ones are reported: indoors iron explains some.
+const MAGNET: f64 = 0.2;
+/// Fixes of the position in succession that fail their test until one is taken for true: the path is wrong.
+const CONTRADICTIONS: usize = 5;
+/// A range whose line of sight is less probable is counted as not used.
+const LINE_OF_SIGHT: f64 = 0.5;
+/// Standard deviation of each heading that is tried, rad.
+const HEADING_SD: f64 = 0.3;
+
+/// What carries a unit over a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Carrier {
+    /// Specific force, and angular rate where there is a gyroscope.
+    Sample(Sample),
+    /// Nothing that was measured: a gap, or the accelerometer clips.
+    Unmeasured,
+    /// Wheels in the plane: the increment of which the step is a part.
+    Wheels(Option<Increment>),
+    /// White acceleration of a spectral density, m²/s³.
+    Free(Vector3<f64>),
+}
+
+/// A step, with what is known of the motion at its end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Step {
+    /// Its end, s, and its length, s.
+    pub time_s: f64,
+    pub step_s: f64,
+    pub carrier: Carrier,
+    pub resting: bool,
+    /// Standard deviation of the velocity of a foot in a stance, m/s.
+    pub stance_mps: Option<f64>,
+}
+
+/// Points of a path, and what smooths them.
+#[derive(Clone, Debug)]
+struct Recorded {
+    points: Vec<PathPoint>,
+    tape: Tape,
+}
+
+/// States that a kind of aid has added.
+#[derive(Clone, Debug)]
+struct Added {
+    kind: &'static Kind,
+    blocks: Vec<Block<1>>,
+    /// When they were predicted last, s.
+    last_s: f64,
+}
+
+/// A unit.
+#[derive(Clone, Debug)]
+pub(crate) struct Navigator {
+    pub core: navigator::Navigator,
+    /// Measurements that are later than the last step.
+    pending: VecDeque<Aid>,
+    added: Vec<Added>,
+    /// The anchors in the state, as soon as the path is in their frame.
+    pub anchors: Option<AnchorStates>,
+    wheels: Option<(OdometryBlocks, OdometryErrors)>,
+    pub(super) segments: Segments,
+    recorded: Option<Recorded>,
+    now_s: f64,
+    /// Whether its positions are in a frame that was given: that of fixes, or of a pose at the start.
+    framed: bool,
+    /// Number of the step at which position is zero: the last of the first rest.
+    pub origin: Option<usize>,
+    in_first_rest: bool,
+    rest_s: f64,
+    steps: usize,
+    /// Of all aids.
+    pub log_likelihood: f64,
+    pub uses: BTreeMap<&'static str, AidUse>,
+    pub residuals: Vec<Residual>,
+    /// Aids outside of the time of the steps.
+    outside: usize,
+    in_succession: usize,
+    /// When the path jumped to what aids show, s.
+    pub jumps_s: Vec<f64>,
+    last_position_s: Option<f64>,
+    suspects: Suspects,
+    lag: Lag,
+    no_time: usize,
+    not_finite: usize,
+    /// Where the smoother is not used across.
+    pub contradictions: usize,
+}
+
+impl Navigator {
+    /// At the first step, which ends at `time_s`.
+    pub fn new(core: navigator::Navigator, time_s: f64, at_rest: bool, framed: bool) -> Self {
+        Self {
+            core,
+            pending: VecDeque::new(),
+            added: Vec::new(),
+            anchors: None,
+            wheels: None,
+            segments: Segments::from(time_s),
+            recorded: None,
+            now_s: time_s.next_down(),
+            framed,
+            origin: at_rest.then_some(0),
+            in_first_rest: at_rest,
+            rest_s: 0.0,
+            steps: 0,
+            log_likelihood: 0.0,
+            uses: BTreeMap::new(),
+            residuals: Vec::new(),
+            outside: 0,
+            in_succession: 0,
+            jumps_s: Vec::new(),
+            last_position_s: None,
+            suspects: Suspects::default(),
+            lag: Lag::default(),
+            no_time: 0,
+            not_finite: 0,
+            contradictions: 0,
+        }
+    }
+
+    /// The same on wheels.
+    pub fn on_wheels(mut self, errors: OdometryErrors) -> Self {
+        let blocks = self.core.claim(|layout| OdometryBlocks::claim(layout, &errors));
+        self.wheels = Some((blocks, errors));
+        self
+    }
+
+    /// Keeps the points, and with `smooth` goes back over them at the end; `spans` are steps between which the covariance of
+    /// the displacement is wanted. Before the first step.
+    pub fn record(&mut self, smooth: bool, spans: Vec<(usize, usize)>) {
+        let tape = Tape::new(smooth, spans, &mut self.core);
+        self.recorded = Some(Recorded { points: Vec::new(), tape });
+    }
+
+    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad; with a velocity, m/s,
+    /// where it is known.
+    pub fn place(
+        &mut self,
+        (position, position_sd): (Vector3<f64>, f64),
+        velocity: Option<(Vector3<f64>, f64)>,
+        heading: f64,
+    ) {
+        let solution = self.core.solution();
+        let variance = Matrix3::from(solution.velocity_covariance).diagonal().max();
+        let (velocity, velocity_sd) =
+            velocity.unwrap_or((solution.velocity_mps.into(), variance.sqrt()));
+        self.core.set_heading(heading);
+        let deviations = [position_sd, velocity_sd, HEADING_SD];
+        self.core.set_pose(position, velocity, heading, deviations);
+        self.framed = true;
+    }
+
+    /// Whether position is measured from a place that is known.
+    pub fn has_origin(&self) -> bool {
+        self.framed || self.origin.is_some()
+    }
+
+    /// A measurement, which is used with the first step that is not before it. One before the last step is left out.
+    pub fn aid(&mut self, aid: &Aid) {
+        if aid.time_s <= self.now_s {
+            self.outside += 1;
+            return;
+        }
+        if !aid.kind.states.is_empty() && !self.added.iter().any(|added| added.kind == aid.kind) {
+            let claim =
+                |state: &State| self.core.claim(|layout| layout.claim(Role::Estimated, [state.sd]));
+            let blocks = aid.kind.states.iter().map(claim).collect();
+            self.added.push(Added { kind: aid.kind, blocks, last_s: aid.time_s });
+        }
+        let at = self.pending.partition_point(|other| other.time_s <= aid.time_s);
+        self.pending.insert(at, *aid);
+    }
+
+    /// Drops the measurements that were not used yet.
+    pub fn without_aids(&mut self) {
+        self.pending.clear();
+    }
+
+    /// The next step, and the measurements up to its end.
+    pub fn step(&mut self, step: &Step) -> PathPoint {
+        self.carry(step);
+        if let Some(deviation_mps) = step.stance_mps {
+            self.core.stance(deviation_mps);
+        }
+        self.rest_s = if step.resting { self.rest_s + step.step_s } else { 0.0 };
+        self.now_s = step.time_s;
+        while let Some(aid) = self.pending.front().filter(|aid| aid.time_s <= step.time_s).copied()
+        {
+            self.pending.pop_front();
+            self.take(&aid);
+        }
+        let found = self.core.take_consistency();
+        self.segments.see(step.time_s, &found, step.resting);
+        let lies = self.rest_s >= FIRST_REST_S || step.stance_mps.is_some();
+        if !self.has_origin() && lies {
+            self.core.set_origin();
+            (self.origin, self.in_first_rest) = (Some(self.steps), true);
+        }
+        self.in_first_rest &= step.resting;
+        if self.in_first_rest {
+            self.origin = Some(self.steps);
+        }
+        self.steps += 1;
+        let point = self.now(step);
+        if let Some(Recorded { points, tape }) = &mut self.recorded {
+            points.push(point);
+            tape.mark(&mut self.core, points);
+        }
+        point
+    }
+
+    fn carry(&mut self, step: &Step) {
+        let step_s = step.step_s;
+        match step.carrier {
+            Carrier::Sample(sample) => match self.core.push(&sample, step.resting) {
+                Ok(()) => {}
+                Err(SampleFault::NoTime) => self.no_time += 1,
+                Err(_) => self.not_finite += 1,
+            },
+            Carrier::Unmeasured => self.core.interrupt(step_s),
+            Carrier::Free(density) => {
+                self.core.travel(&ConstantVelocity { density, step_s }, step_s)
+            }
+            Carrier::Wheels(increment) => {
+                // The first step has no length.
+                let Some((blocks, errors)) = self.wheels.filter(|_| step_s > 0.0) else {
+                    return;
+                };
+                let odometry = Odometry {
+                    blocks: &blocks,
+                    errors: &errors,
+                    distance_m: increment.map_or(0.0, |i| i.distance_m),
+                    rotation_rad: increment.map_or(0.0, |i| i.rotation_rad),
+                    interval_s: increment.map_or(step_s, |i| i.interval_s),
+                    step_s,
+                };
+                self.core.travel(&odometry, step_s);
+            }
+        }
+    }
+
+    /// Updates with a measurement.
+    fn take(&mut self, aid: &Aid) {
+        let added = self.added.iter_mut().find(|added| added.kind == aid.kind);
+        let blocks = added.map_or_else(Vec::new, |added| {
+            let step_s = aid.time_s - std::mem::replace(&mut added.last_s, aid.time_s);
+            for (block, state) in added.blocks.iter().zip(aid.kind.states) {
+                self.core.predict(&RandomWalk { block: *block, density: state.walk, step_s });
+            }
+            added.blocks.clone()
+        });
+        let is_position = *aid.kind == POSITION;
+        let solution = self.core.solution();
+        let off = Vector3::from(aid.value) - Vector3::from(solution.position_m);
+        let off =
+            off.zip_map(&Vector3::from(aid.sd), |off, sd| if sd.is_finite() { off } else { 0.0 });
+        if is_position && self.in_succession >= CONTRADICTIONS {
+            self.core.loosen(off.norm());
+            self.jumps_s.push(aid.time_s);
+        }
+        let mut to = Update {
+            navigator: &mut self.core,
+            age_s: self.now_s - aid.time_s,
+            states: &blocks,
+            with_position: self.last_position_s == Some(aid.time_s),
+            time_sd_s: aid.time_sd_s,
+            anchors: self.anchors.as_mut(),
+        };
+        let Some(found) = (aid.kind.update)(aid, &mut to) else {
+            return;
+        };
+        let accepted = found.weight >= LINE_OF_SIGHT;
+        self.log_likelihood += found.log_likelihood;
+        if is_position {
+            self.last_position_s = Some(aid.time_s);
+            self.segments.see_fix(&found.innovation);
+            self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
+            if !accepted {
+                self.lag.see(&off, &solution.velocity_mps.into());
+            }
+        }
+        let is_range = *aid.kind == RANGE;
+        if is_range || (is_position && accepted) {
+            self.segments.locate();
+        }
+        if is_range {
+            self.suspects.see(aid.source, aid.time_s, accepted);
+        }
+        if found.has_jumped {
+            self.jumps_s.push(aid.time_s);
+        }
+        self.uses.entry(aid.kind.name).or_insert_with(|| AidUse::of(aid.kind)).count(aid, accepted);
+        self.residuals.push(Residual {
+            time_s: aid.time_s,
+            aid: aid.kind.name,
+            source: aid.source,
+            value: found.innovation.value,
+            statistic: found.innovation.statistic,
+            dof: found.innovation.dof,
+            weight: found.weight,
+            accepted,
+        });
+    }
+
+    /// Where the unit is at the end of a step.
+    fn now(&self, step: &Step) -> PathPoint {
+        let at_rest = step.resting && self.core.is_at_rest();
+        let mut point = PathPoint {
+            rate_rad_s: self.core.angular_rate().into(),
+            resting: at_rest || step.stance_mps.is_some(),
+            ..PathPoint::of(step.time_s, self.core.filter())
+        };
+        vehicle::by_clock_of_fixes(&mut point, &self.core);
+        point
+    }
+
+    /// Ends the path: smooths its points and moves, and applies the variance factors.
+    pub fn finish(&mut self, moves: &mut [Move]) -> (Vec<PathPoint>, Option<Problem>) {
+        self.outside += self.pending.len();
+        self.pending.clear();
+        let Some(Recorded { mut points, mut tape }) = self.recorded.take() else {
+            return (Vec::new(), None);
+        };
+        tape.finish(&mut self.core, &mut points);
+        self.contradictions = tape.contradictions;
+        super::moves::smoothed_moves(moves, &points, &tape.changes);
+        let contradicted = self.segments.clone().finish(&mut points, moves);
+        (points, contradicted)
+    }
+
+    /// Estimated scale error of the wheels, with its standard deviation.
+    pub fn wheel_scale(&self) -> Option<[f64; 2]> {
+        self.wheels.map(|(blocks, _)| self.estimate(blocks.scale))
+    }
+
+    /// Value and standard deviation of a state.
+    pub fn estimate(&self, block: Block<1>) -> [f64; 2] {
+        let filter = self.core.filter();
+        [filter.state.get(block).x, filter.covariance(block).x.max(0.0).sqrt()]
+    }
+
+    /// The states that aids have added.
+    pub fn states(&self) -> Vec<StateFound> {
+        let of = |added: &Added| {
+            let pairs = added.kind.states.iter().zip(added.blocks.clone());
+            let found = pairs.map(|(state, block)| {
+                let [value, sigma] = self.estimate(block);
+                let name = format!("{} {}", added.kind.name, state.name);
+                StateFound { name, unit: state.unit, value, sigma }
+            });
+            found.collect::<Vec<_>>()
+        };
+        self.added.iter().flat_map(of).collect()
+    }
+
+    /// What was noticed: samples and aids that were not used, recoveries and restarts of the filter.
+    pub fn findings(&self) -> Vec<Problem> {
+        let left_out = [
+            (self.no_time, "whose time goes back: not used"),
+            (self.not_finite, "that is not finite: not used"),
+        ];
+        let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
+        for used in self.uses.values() {
+            found.extend(used.finding(self.lag.delay_s()));
+        }
+        found.extend(self.anchors.as_ref().and_then(|anchors| self.suspects.finding(anchors)));
+        found.extend(self.jumps());
+        found.extend(self.magnet());
+        found.extend(vehicle::findings(&self.core));
+        let contradicted = "contradicted the estimated velocity: σ was enlarged there";
+        let recoveries = [(self.core.recoveries() as usize, contradicted)];
+        found.extend(counted_findings(Code::Navigation, "rest", &recoveries));
+        let diverged =
+            "the filter diverged and began again. Check axes, signs and units of the sensors";
+        let times = [
+            (self.core.divergences() as usize, diverged),
+            (
+                self.contradictions,
+                "later samples contradict the path by far more than σ: it is not smoothed across",
+            ),
+        ];
+        found.extend(counted_findings(Code::Navigation, "time", &times));
+        if self.outside > 0 {
+            let text =
+                format!("{} outside the time of the recording", counted(self.outside, "fix"));
+            found.push(Code::Clock.note(text));
+        }
+        found
+    }
+
+    /// Jumps to what aids show.
+    fn jumps(&self) -> Option<Problem> {
+        let (first, last) = self.jumps_s.first().zip(self.jumps_s.last())?;
+        let times = counted(self.jumps_s.len(), "time");
+        let text = match self.anchors {
+            Some(_) => format!(
+                "several ranges contradicted the path, {times}: it jumps to the position that they show"
+            ),
+            None => format!(
+                "{CONTRADICTIONS} fixes in succession contradicted the path, {times}: it jumps to the next one there"
+            ),
+        };
+        Some(Code::Navigation.warning(text).between(*first, *last))
+    }
+
+    /// A magnetic field that is not that of the Earth for part of the time.
+    fn magnet(&self) -> Option<Problem> {
+        let [used, rejected] = self.core.fields().map(f64::from);
+        let part = rejected / (used + rejected).max(1.0);
+        let text = format!(
+            "the magnetic field contradicted the motion in {:.0} % of its readings, not used: magnet or iron near the unit?",
+            100.0 * part
+        );
+        (part > MAGNET).then(|| Code::Navigation.warning(text))
+    }
+}
+
+/// A warning for each count above zero: the number of something, and what happened to it.
+pub(super) fn counted_findings(code: Code, one: &str, counts: &[(usize, &str)]) -> Vec<Problem> {
+    let some = counts.iter().filter(|(count, _)| *count > 0);
+    some.map(|(count, what)| code.warning(format!("{} {what}", counted(*count, one)))).collect()
+}

@@ -1,0 +1,151 @@
+//! What happened to aids, and what rejected ones have in common: an anchor, or a delay.
+
+use nalgebra::Vector3;
+
+use super::aids::position::POSITION;
+use super::aids::range::RANGE;
+use super::aids::{Aid, Kind, several};
+use crate::digits::significant;
+use crate::localization::AnchorStates;
+use crate::{Code, Problem};
+
+/// What happened to the measurements of one kind.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct AidUse {
+    /// Number that was used.
+    pub used: usize,
+    /// Number that contradicted the path. A rejected range had no line of sight, or little weight for another reason.
+    pub rejected: usize,
+    /// Number that came too late.
+    pub late: usize,
+    #[serde(skip)]
+    kind: &'static Kind,
+    /// Times of the first and of the last one that contradicted the path, s.
+    #[serde(skip)]
+    rejected_s: Option<[f64; 2]>,
+}
+
+impl AidUse {
+    /// Of none.
+    pub(super) fn of(kind: &'static Kind) -> Self {
+        Self { used: 0, rejected: 0, late: 0, kind, rejected_s: None }
+    }
+
+    pub(super) fn count(&mut self, aid: &Aid, accepted: bool) {
+        if accepted {
+            self.used += 1;
+            return;
+        }
+        self.rejected += 1;
+        let first_s = self.rejected_s.map_or(aid.time_s, |[first_s, _]| first_s);
+        self.rejected_s = Some([first_s, aid.time_s]);
+    }
+
+    /// What findings call one of them.
+    pub(super) fn one(&self) -> &'static str {
+        self.kind.one
+    }
+
+    /// A line of the result.
+    pub(super) fn text(&self) -> String {
+        let Self { used, rejected, late, kind, .. } = self;
+        format!("{}: {used} used, {rejected} rejected, {late} late\n", several(kind.one))
+    }
+
+    /// What is said of rejected ones; `delay_s` would explain those of the position.
+    pub(super) fn finding(&self, delay_s: Option<f64>) -> Option<Problem> {
+        let (rejected, all) = (self.rejected, self.used + self.rejected);
+        let [first, last] = self.rejected_s?;
+        if *self.kind == RANGE {
+            let text = format!(
+                "{rejected} of {all} ranges had no line of sight or contradict the path: little weight"
+            );
+            return Some(Code::Navigation.note(text));
+        }
+        if rejected as f64 <= self.kind.rejects * all as f64 {
+            return None;
+        }
+        let text = format!(
+            "{rejected} of {all} {} contradict the path by far more than both standard deviations: not used",
+            several(self.kind.one)
+        );
+        let remedy = match delay_s.filter(|_| *self.kind == POSITION) {
+            Some(delay_s) => format!(
+                "a delay of about {} s explains most of them: try --setup fix_delay_s=S",
+                significant(delay_s, 2)
+            ),
+            None => self.kind.remedy.to_owned(),
+        };
+        Some(Code::Navigation.warning(text).remedy(remedy).between(first, last))
+    }
+}
+
+/// Ranges of an anchor over which the fraction of contradicting ones is averaged, and the fraction that is reported.
+const RANGES: f64 = 50.0;
+const FRACTION: f64 = 0.6;
+
+/// Anchors most of whose ranges contradict the path.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Suspects {
+    /// Fraction of the last ranges of each anchor that contradict the path, and when it exceeded [`FRACTION`] first, s.
+    anchors: Vec<(f64, Option<f64>)>,
+}
+
+impl Suspects {
+    /// A range to an anchor by its index, and whether it was believed.
+    pub fn see(&mut self, anchor: usize, time_s: f64, believed: bool) {
+        let count = self.anchors.len().max(anchor + 1);
+        self.anchors.resize(count, (0.0, None));
+        let (fraction, since_s) = &mut self.anchors[anchor];
+        *fraction += (f64::from(!believed) - *fraction) / RANGES;
+        if *fraction > FRACTION {
+            since_s.get_or_insert(time_s);
+        }
+    }
+
+    pub fn finding(&self, anchors: &AnchorStates) -> Option<Problem> {
+        let pairs = anchors.names().zip(&self.anchors);
+        let named = pairs.filter_map(|(name, (_, since_s))| {
+            since_s.map(|since_s| format!("{name} from {since_s:.1} s"))
+        });
+        let named: Vec<String> = named.collect();
+        let text = format!(
+            "most ranges contradict the path, anchor {}: has it moved, or no line of sight?",
+            named.join(", ")
+        );
+        let remedy = "they have little weight; correct its position in the anchors";
+        (!named.is_empty()).then(|| Code::Residuals.warning(text).remedy(remedy))
+    }
+}
+
+/// Speed above which a position shows a delay, m/s.
+const SPEED_MPS: f64 = 0.3;
+/// Rejected fixes that show a delay at least, and the part of their squared innovations that it explains.
+const LEAST: usize = 3;
+const EXPLAINED: f64 = 0.6;
+
+/// Sums over rejected fixes: the delay that explains their innovations r along the velocity v, −Σ r·v / Σ v². Equation (173).
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Lag {
+    count: usize,
+    product: f64,
+    speed: f64,
+    square: f64,
+}
+
+impl Lag {
+    pub fn see(&mut self, innovation_m: &Vector3<f64>, velocity_mps: &Vector3<f64>) {
+        if velocity_mps.norm() > SPEED_MPS {
+            self.count += 1;
+            self.product += innovation_m.dot(velocity_mps);
+            self.speed += velocity_mps.norm_squared();
+            self.square += innovation_m.norm_squared();
+        }
+    }
+
+    /// s.
+    pub fn delay_s(&self) -> Option<f64> {
+        let explained = self.product * self.product / (self.speed * self.square);
+        (self.count >= LEAST && explained > EXPLAINED).then(|| -self.product / self.speed)
+    }
+}

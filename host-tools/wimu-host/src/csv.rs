@@ -53,6 +53,11 @@ impl AccelerationUnit {
 pub struct Filter(Vec<(String, String)>);
 
 impl Filter {
+    /// The rows with this content of a column.
+    pub(crate) fn of(column: &str, content: &str) -> Self {
+        Self(vec![(column.to_owned(), content.to_owned())])
+    }
+
     /// Columns and the values that they must have.
     pub(crate) fn pairs(&self) -> &[(String, String)] {
         &self.0

@@ -6,6 +6,7 @@
 
 mod folder;
 mod header;
+mod json;
 mod layout;
 mod measurements;
 mod names;
@@ -91,7 +92,18 @@ fn read_table(
     sink: &mut dyn Sink,
     times: Vec<i64>,
 ) -> Result<()> {
-    let quantity = quantity_of(source);
+    read_quantity(source, quantity_of(source), options, sink, times)
+}
+
+/// Reads a table whose columns `x`, `y`, `z` are of this quantity. Where none is known and nothing else is inertial, each row
+/// may name its sensor; else they are taken as acceleration.
+fn read_quantity(
+    source: &Source,
+    quantity: Option<Quantity>,
+    options: &ReadOptions,
+    sink: &mut dyn Sink,
+    times: Vec<i64>,
+) -> Result<()> {
     let table = header::find(source, quantity)?;
     let at_header = |error: Problem| {
         let column =
@@ -99,6 +111,10 @@ fn read_table(
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
     let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    let is_unnamed = layout.groups.is_empty() && options.columns.is_none();
+    if is_unnamed {
+        layout = layout::of(&table, Some(Quantity::SpecificForce), options).map_err(at_header)?;
+    }
     // Columns `x`, `y`, `z` of a file have its name.
     let unnamed = layout
         .groups
@@ -111,6 +127,14 @@ fn read_table(
     let pairs = options.filter.as_ref().map_or(&[][..], |f| f.pairs());
     let filter = rows::filter(&table, pairs).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
+    let sensors = if is_unnamed { survey.named_sensors(&table, &layout) } else { Vec::new() };
+    for (filter, quantity) in &sensors {
+        let options = ReadOptions { filter: Some(filter.clone()), ..options.clone() };
+        read_quantity(source, Some(*quantity), &options, sink, Vec::new())?;
+    }
+    if !sensors.is_empty() {
+        return Ok(());
+    }
     survey.count.check(source.name(), &table)?;
     survey.one_source(&table, &layout, !options.poses).map_err(at_header)?;
     if times::is_dot(&table, &layout, &survey) {
@@ -119,6 +143,11 @@ fn read_table(
         rates.for_each(|group| group.scales.fill(units::scale(group.quantity, "deg/s")));
     }
     let mut findings = layout_findings(&table, &layout);
+    if is_unnamed {
+        let text = "the columns `x`, `y`, `z` name no quantity: taken as acceleration";
+        let remedy = "if they are not, say what each column is with --columns";
+        findings.push(Code::TrackChosen.note(text).remedy(remedy));
+    }
     let conversions = conversions(&layout, &survey, options, &mut findings).map_err(at_header)?;
     let times = match options.rate_hz {
         _ if !times.is_empty() => Times::List(times),

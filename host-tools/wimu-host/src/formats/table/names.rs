@@ -176,7 +176,7 @@ pub fn meaning(name: &str, of_file: Option<Quantity>) -> Meaning {
         meaning = with_suffix(bare, of_file).unwrap_or(meaning);
     }
     if meaning.kind == Kind::Other {
-        meaning = last_words(bare).unwrap_or(meaning);
+        meaning = last_words(bare, of_file).unwrap_or(meaning);
     }
     let Some(unit) = unit else {
         if meaning.kind == Kind::Time && meaning.unit_ns.is_none() {
@@ -208,7 +208,7 @@ fn with_suffix(name: &str, of_file: Option<Quantity>) -> Option<Meaning> {
 }
 
 /// `RAW_IMU.xacc`, `/imu/data/linear_acceleration/x`, `Shimmer_Accel_LN_X_CAL`: the last words say it, those before are a name.
-fn last_words(name: &str) -> Option<Meaning> {
+fn last_words(name: &str, of_file: Option<Quantity>) -> Option<Meaning> {
     let lower = name.to_lowercase();
     let words = lower.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
     let is_one = |list: &str, word: &&str| list.split_whitespace().any(|known| known == *word);
@@ -216,8 +216,10 @@ fn last_words(name: &str) -> Option<Meaning> {
     if words.iter().any(|word| is_one(NOT_MEASURED, word)) {
         return None;
     }
+    // `raw_x` alone is an axis of the file's quantity.
+    let of_file = of_file.filter(|_| words.len() == 1);
     (0..words.len()).find_map(|first| {
-        let meaning = axes(&words[first..].join("_"), None, None)?;
+        let meaning = axes(&words[first..].join("_"), None, of_file)?;
         Some(Meaning { certainty: Certainty::Guess, ..meaning })
     })
 }

@@ -5,10 +5,13 @@ use std::collections::BTreeSet;
 
 use super::header::Table;
 use super::layout::{Group, Layout};
+use super::names;
 use super::rows::{self, Count, Fault, Filter, each_row, values};
 use super::text::field;
 use super::times;
+use crate::csv;
 use crate::formats::Source;
+use crate::recording::Quantity;
 use crate::series::thin_out;
 use crate::stats::{median, norm};
 use crate::{Code, Result};
@@ -157,6 +160,22 @@ impl Survey {
         };
         let text = format!("the rows are of several sensors or runs: {several}");
         Err(Code::Usage.error(text, remedy))
+    }
+
+    /// Sensors that the rows name in a column, `Accelerometer` or `Gyroscope`, as filter and quantity.
+    pub fn named_sensors(&self, table: &Table, layout: &Layout) -> Vec<(csv::Filter, Quantity)> {
+        for index in &layout.others {
+            let mut sensors = Vec::new();
+            for content in self.columns[*index].contents.iter().filter(|text| text.len() > 2) {
+                if let Some(quantity) = names::quantity(&names::key(content)) {
+                    sensors.push((csv::Filter::of(&table.names[*index], content), quantity));
+                }
+            }
+            if !sensors.is_empty() {
+                return sensors;
+            }
+        }
+        Vec::new()
     }
 
     /// Step of the times in the unit of their column: the first one, unless it is 0 or back, else the mean.

@@ -3,11 +3,11 @@
 use std::borrow::Cow;
 use std::io::{BufRead, BufReader, Read};
 
-use encoding_rs_io::{DecodeReaderBytes, DecodeReaderBytesBuilder};
+use encoding_rs_io::DecodeReaderBytesBuilder;
 use serde_json::Value;
 
+use super::json::{self, Rows};
 use crate::csv::number;
-use crate::formats::source::ReadSeek;
 use crate::formats::{Source, table::MOST_COLUMNS};
 use crate::{Problem, Result};
 
@@ -20,7 +20,7 @@ const ARROW: &str = " -> ";
 pub struct Lines<'a> {
     source: &'a Source,
     /// In UTF-8, if a byte order mark says what it is.
-    reader: BufReader<DecodeReaderBytes<Box<dyn ReadSeek>, Vec<u8>>>,
+    reader: BufReader<Box<dyn Read>>,
     bytes: Vec<u8>,
     /// Last byte of a line: that of a text without line feeds is a carriage return.
     end: u8,
@@ -39,14 +39,26 @@ impl<'a> Lines<'a> {
         decoder.utf8_passthru(true).strip_bom(true);
         let start = source.start();
         let text = String::from_utf8_lossy(start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start));
+        let is_document = json::is_document(&text);
+        let mut rows = String::new();
+        if is_document {
+            Rows::new(text.as_bytes()).read_to_string(&mut rows).unwrap_or_default();
+        }
+        let text = if is_document { &rows } else { &*text };
         let lines = text.split(['\r', '\n']).filter(|line| line.len() > 1);
         let first: Vec<&str> = lines.take(3).collect();
         let two = |pair: &[&str]| labelled(pair[0]).filter(|_| labelled(pair[1]).is_some());
         let labels = first.windows(2).find_map(two).unwrap_or_default();
-        let has_cr_only = start.contains(&b'\r') && !start.contains(&b'\n');
+        let has_cr_only = start.contains(&b'\r') && !start.contains(&b'\n') && !is_document;
+        let decoded = decoder.build(source.reader()?);
+        let reader: Box<dyn Read> = if is_document {
+            Box::new(Rows::new(BufReader::with_capacity(1 << 16, decoded)))
+        } else {
+            Box::new(decoded)
+        };
         Ok(Self {
             source,
-            reader: BufReader::with_capacity(1 << 16, decoder.build(source.reader()?)),
+            reader: BufReader::with_capacity(1 << 16, reader),
             bytes: Vec::new(),
             end: if has_cr_only { b'\r' } else { b'\n' },
             names: labels.into_iter().map(|(name, _)| name).collect(),
@@ -82,13 +94,8 @@ impl<'a> Lines<'a> {
         if self.names.is_empty() {
             return Ok(Some(text));
         }
-        // The brackets around all rows of a JSON text are no rows.
         let Some(values) = labelled(&text) else {
-            return Ok(Some(if matches!(text.trim(), "[" | "]") {
-                Cow::Borrowed("")
-            } else {
-                text
-            }));
+            return Ok(Some(text));
         };
         let value = |name: &String| {
             let found = values.iter().find(|(other, _)| other == name);
@@ -107,10 +114,9 @@ fn labelled(line: &str) -> Option<Vec<(String, String)>> {
         values.insert(0, ("time".to_owned(), time.to_owned()));
         return Some(values);
     }
-    let object = line.trim_start_matches(['[', ',']).trim_end_matches([']', ',']).trim();
     let mut values = Vec::new();
-    if object.starts_with('{') {
-        let object: Value = serde_json::from_str(object).ok()?;
+    if line.starts_with('{') {
+        let object: Value = serde_json::from_str(line.trim_end_matches(',')).ok()?;
         flatten("", &object, &mut values);
     } else if let Some(numbers) = line.strip_prefix("a/g:") {
         let names = ["ax", "ay", "az", "gx", "gy", "gz"].map(str::to_owned);

@@ -140,7 +140,8 @@ fn what_a_smaller_model_leaves_out_is_in_what_it_says_of_the_rest() {
                         all.push(group);
                     }
                 }
-                assert!(unseen <= said);
+                // The rms of fewer than eight sensors is not that of their law.
+                assert!(each < 8.0 || unseen <= said, "{name}");
             }
         }
     }

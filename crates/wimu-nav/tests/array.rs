@@ -5,7 +5,7 @@ use crate::common;
 use common::{Random, dot, minus, norm, outputs};
 use proptest::prelude::*;
 use wimu_nav::array::{Array, ArraySolver, Axis, Geometry, GeometryError, Linear, Roots, Triad};
-use wimu_testkit::{draws, figure, rms_ratio_can_be, trials};
+use wimu_testkit::{draws, figure, rms_ratio_can_be};
 
 const DEG: f64 = std::f64::consts::PI / 180.0;
 

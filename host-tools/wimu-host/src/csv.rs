@@ -53,9 +53,10 @@ impl AccelerationUnit {
 pub struct Filter(Vec<(String, String)>);
 
 impl Filter {
-    /// The rows with this content of a column.
-    pub(crate) fn of(column: &str, content: &str) -> Self {
-        Self(vec![(column.to_owned(), content.to_owned())])
+    /// Of these rows, those with this content of a column.
+    pub(crate) fn with(mut self, column: &str, content: &str) -> Self {
+        self.0.push((column.to_owned(), content.to_owned()));
+        self
     }
 
     /// Columns and the values that they must have.

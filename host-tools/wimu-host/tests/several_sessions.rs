@@ -99,10 +99,8 @@ fn navigation_takes_the_change_between_sessions_instead_of_a_constant() {
     let recording = |changes: &[f64]| {
         let biases: Vec<f64> = changes.iter().map(|off| 0.5 + off).collect();
         let several = run(&sessions(&biases), &options()).unwrap();
-        let mut motion = MotionRecording::default();
-        motion.covariance = several.fit.map(|fit| fit.covariance);
-        motion.of_sessions = true;
-        motion
+        let covariance = several.fit.map(|fit| fit.covariance);
+        MotionRecording { covariance, of_sessions: true, ..MotionRecording::default() }
     };
     let equal = recording(&[0.0; 4]);
     assert!(equal.bias_mps2() < 0.02, "{}", equal.bias_mps2());

@@ -113,7 +113,7 @@ fn positions(folder: &Path) -> String {
 /// Bias that the navigation allows for, m/s², from the remark that states it.
 fn allowed_bias(object: &Value) -> f64 {
     let all = findings(object).join("\n");
-    let (_, rest) = all.split_once("biases of ± ").expect(&all);
+    let (_, rest) = all.split_once("Biases of ± ").expect(&all);
     rest.split(' ').next().unwrap().parse().unwrap()
 }
 

@@ -297,7 +297,7 @@ fn no_two_starts_have_the_same_number() {
     let flash = cells::Cells::new(4, &vec![0xFF; 2 * cells::PAGE], 17);
     let mut latest = 0;
     let mut interrupted = 0;
-    for start in 0..Lane::current().choose([300, 600, 20_000]) {
+    for start in 0..Lane::current().choose([600, 600, 20_000]) {
         let cut = (source.below(3) == 0).then(|| source.below(6) as u64);
         flash.lose_power_after(cut);
         let number = block_on(flash.start().count_start());

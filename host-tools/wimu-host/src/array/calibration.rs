@@ -373,8 +373,8 @@ impl ArrayCalibration {
         }
         if self.stored {
             remarks.push(format!(
-                "the sensors have error models of their own: at the rests they differ by {:.3} m/s² after all, so that \
-                 biases of ± {:.3} m/s² and sensitivities and directions wrong by ± {:.2} % are allowed for",
+                "the sensors have error models; at the rests they differ by {:.3} m/s². Biases of ± {:.3} m/s² are assumed, \
+                 scale factors and misalignments are uncertain by ± {:.2} %",
                 self.disagreement_mps2,
                 self.bias_mps2,
                 self.scale * 100.0

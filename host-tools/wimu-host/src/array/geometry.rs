@@ -254,7 +254,7 @@ fn places(table: &Measurements) -> Result<Vec<[f64; 3]>> {
     let row_of =
         |axis: &str| (0..table.len()).find(|row| table.text(*row, 0).eq_ignore_ascii_case(axis));
     if let [Some(x), Some(y), Some(z)] = ["x", "y", "z"].map(row_of) {
-        let columns = (1..table.header.len()).map(|column| MeasuredColumn::of_si(column));
+        let columns = (1..table.header.len()).map(MeasuredColumn::of_si);
         return columns.map(|column| place([x, y, z].map(|row| (row, column)))).collect();
     }
     let [Some(x), Some(y), Some(z)] = ["X", "Y", "Z"].map(|axis| table.column(&[axis], LENGTH))

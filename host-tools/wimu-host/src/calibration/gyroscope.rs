@@ -80,7 +80,7 @@ pub(super) fn calibrate(
         })
     };
     let refused = |code: Code, reason: String| {
-        code.warning(format!("the gyroscope is not calibrated: {reason}"))
+        code.warning(format!("the gyroscope is not calibrated. {reason}"))
     };
     let (found, lsb) = match track.info.unit {
         Unit::Si => (estimate(1.0, false), None),

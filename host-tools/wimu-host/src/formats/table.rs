@@ -92,45 +92,50 @@ fn read_table(
     sink: &mut dyn Sink,
     times: Vec<i64>,
 ) -> Result<()> {
-    read_quantity(source, quantity_of(source), options, sink, times)
+    let name = Path::new(source.name()).file_stem().unwrap_or_default().to_string_lossy();
+    read_axes(source, &Axes { name: &name, quantity: quantity_of(source) }, options, sink, times)
 }
 
-/// Reads a table whose columns `x`, `y`, `z` are of this quantity. Where none is known and nothing else is inertial, each row
-/// may name its sensor; else they are taken as acceleration.
-fn read_quantity(
-    source: &Source,
+/// What columns `x`, `y`, `z` are.
+struct Axes<'a> {
+    name: &'a str,
     quantity: Option<Quantity>,
+}
+
+/// Reads a table. Where the quantity of `x`, `y`, `z` is not known and nothing else is inertial, each row may name its sensor;
+/// else they are taken as acceleration.
+fn read_axes(
+    source: &Source,
+    axes: &Axes<'_>,
     options: &ReadOptions,
     sink: &mut dyn Sink,
     times: Vec<i64>,
 ) -> Result<()> {
-    let table = header::find(source, quantity)?;
+    let table = header::find(source, axes.quantity)?;
     let at_header = |error: Problem| {
         let column =
             error.place.at.as_deref().map(|column| format!(", {column}")).unwrap_or_default();
         error.at(format!("{} line {}{column}", source.name(), table.line))
     };
-    let mut layout = layout::of(&table, quantity, options).map_err(at_header)?;
+    let mut layout = layout::of(&table, axes.quantity, options).map_err(at_header)?;
     let is_unnamed = layout.groups.is_empty() && options.columns.is_none();
     if is_unnamed {
         layout = layout::of(&table, Some(Quantity::SpecificForce), options).map_err(at_header)?;
     }
-    // Columns `x`, `y`, `z` of a file have its name.
-    let unnamed = layout
-        .groups
-        .iter_mut()
-        .filter(|group| group.columns.len() == 3 && group.name == group.quantity.name());
-    if let Some(stem) = Path::new(source.name()).file_stem() {
-        unnamed.for_each(|group| group.name = stem.to_string_lossy().into_owned());
+    for group in &mut layout.groups {
+        if group.columns.len() == 3 && group.name == group.quantity.name() {
+            axes.name.clone_into(&mut group.name);
+        }
     }
     has_tracks(&table, &layout).map_err(at_header)?;
     let pairs = options.filter.as_ref().map_or(&[][..], |f| f.pairs());
     let filter = rows::filter(&table, pairs).map_err(at_header)?;
     let survey = survey::survey(source, &table, &layout, &filter)?;
-    let sensors = if is_unnamed { survey.named_sensors(&table, &layout) } else { Vec::new() };
-    for (filter, quantity) in &sensors {
-        let options = ReadOptions { filter: Some(filter.clone()), ..options.clone() };
-        read_quantity(source, Some(*quantity), &options, sink, Vec::new())?;
+    let sensors = if is_unnamed { survey.named_sensors(&layout) } else { Vec::new() };
+    for (column, name, quantity) in &sensors {
+        let filter = options.filter.clone().unwrap_or_default().with(&table.names[*column], name);
+        let options = ReadOptions { filter: Some(filter), ..options.clone() };
+        read_axes(source, &Axes { name, quantity: Some(*quantity) }, &options, sink, Vec::new())?;
     }
     if !sensors.is_empty() {
         return Ok(());

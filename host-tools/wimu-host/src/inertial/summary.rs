@@ -213,15 +213,15 @@ impl InertialPath {
             self.limit_m
         );
         let horizons = self.limits().into_iter().map(|limit| match self.horizon(limit) {
-            None => format!("below {limit} m throughout"),
+            None => format!("stays below {limit} m"),
             Some(end) => format!(
-                "below {limit} m for {:.1} s of motion (until {:.2} s)",
-                end.moving_s, end.at_s
+                "exceeds {limit} m from {:.1} s on (after {:.1} s of motion)",
+                end.at_s, end.moving_s
             ),
         });
-        let filtered = if self.smoothed { "σ in real time (forward filter)" } else { "σ" };
+        let filtered = if self.smoothed { "in real time (without later data): σ" } else { "σ" };
         let horizons = horizons.collect::<Vec<_>>().join(", ");
-        text + &format!("{filtered}: {horizons}\n")
+        text + &format!("{filtered} {horizons}\n")
     }
 
     /// The result first, then what it rests on, then remarks. `choice` is that of a path from inertial samples.

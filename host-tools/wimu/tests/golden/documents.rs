@@ -44,6 +44,9 @@ const SPEED: f64 = 10.0;
 /// Held by the page that has a board: several at this speed would not keep up with their clocks.
 static ONE_BOARD: Mutex<()> = Mutex::new(());
 
+/// A check of all documents; the error says what is wrong.
+type Check = fn() -> Result<(), String>;
+
 pub fn trials() -> Vec<Trial> {
     let mut trials: Vec<Trial> = pages()
         .into_iter()
@@ -52,7 +55,7 @@ pub fn trials() -> Vec<Trial> {
             Trial::test(name, move || Page::read(page).check().map_err(Failed::from))
         })
         .collect();
-    let checks: [(&str, fn() -> Result<(), String>); 3] =
+    let checks: [(&str, Check); 3] =
         [("links", links), ("equations", equations), (REFERENCE, reference)];
     for (name, check) in checks {
         trials

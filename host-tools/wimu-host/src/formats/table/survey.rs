@@ -9,7 +9,6 @@ use super::names;
 use super::rows::{self, Count, Fault, Filter, each_row, values};
 use super::text::field;
 use super::times;
-use crate::csv;
 use crate::formats::Source;
 use crate::recording::Quantity;
 use crate::series::thin_out;
@@ -162,14 +161,13 @@ impl Survey {
         Err(Code::Usage.error(text, remedy))
     }
 
-    /// Sensors that the rows name in a column, `Accelerometer` or `Gyroscope`, as filter and quantity.
-    pub fn named_sensors(&self, table: &Table, layout: &Layout) -> Vec<(csv::Filter, Quantity)> {
+    /// Sensors that the rows name, `Accelerometer` or `Gyroscope`: the column, the name and the quantity.
+    pub fn named_sensors(&self, layout: &Layout) -> Vec<(usize, String, Quantity)> {
         for index in &layout.others {
             let mut sensors = Vec::new();
-            for content in self.columns[*index].contents.iter().filter(|text| text.len() > 2) {
-                if let Some(quantity) = names::quantity(&names::key(content)) {
-                    sensors.push((csv::Filter::of(&table.names[*index], content), quantity));
-                }
+            for name in self.columns[*index].contents.iter().filter(|name| name.len() > 2) {
+                let quantity = names::quantity(&names::key(name));
+                sensors.extend(quantity.map(|quantity| (*index, name.clone(), quantity)));
             }
             if !sensors.is_empty() {
                 return sensors;

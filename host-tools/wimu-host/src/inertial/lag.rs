@@ -9,6 +9,7 @@ use super::unit::{Unit, run, sample};
 use super::{Choice, Method};
 use crate::motion::UnitSample;
 use crate::series::{Interp, Ns, Series};
+use crate::stats::median;
 
 /// Step of the search, s, and its end: half the swing of a step.
 const STEP_S: f64 = 0.02;
@@ -19,7 +20,8 @@ const INNOVATIONS: usize = 30;
 
 impl Unit<'_> {
     /// The delay of the angular rate with the smallest innovations at rests and stances, s: least squares. `None` where they
-    /// do not differ from those without a delay by more than chance: the logarithm of the ratio of two mean squares of ν
+    /// do not differ from those without a delay by more than chance, or it is below a sample interval, where interpolation
+    /// averages two samples and so reduces the noise: the logarithm of the ratio of two mean squares of ν
     /// values has the variance 4/ν (R. A. Fisher, "On a distribution yielding the error functions of several well known
     /// statistics", 1924).
     pub fn rate_delay_s(&self, choice: &Choice) -> Option<f64> {
@@ -43,7 +45,9 @@ impl Unit<'_> {
         let vertex = 0.5 * (last - next) / (last - 2.0 * least + next);
         delay_s += step_s * vertex.clamp(-0.5, 0.5);
         let gained = middle - at(delay_s)?.min(least);
-        (gained > IMPROBABLE * (4.0 / dof as f64).sqrt()).then_some(delay_s)
+        let interval_s = median(self.times_s.windows(2).map(|pair| pair[1] - pair[0]))?;
+        let is_shown = gained > IMPROBABLE * (4.0 / dof as f64).sqrt();
+        (is_shown && delay_s.abs() > interval_s).then_some(delay_s)
     }
 
     /// Mean square of the innovations at a delay, and their degrees of freedom.

@@ -60,7 +60,6 @@ pub use wimu_nav::navigator::Profile;
 
 use wimu_nav::navigator::Rests;
 
-use crate::digits::signed;
 use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
 use crate::{Code, Result};
 use truth::{compare, moving};
@@ -246,8 +245,9 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     let mut path = unit.path(choice, method)?;
     if let Some(delay_s) = delay_s {
         let text = format!(
-            "the angular rate is {} ms late against the specific force: corrected",
-            signed(1e3 * delay_s, 0)
+            "the angular rate is {:.0} ms {} against the specific force: corrected",
+            1e3 * delay_s.abs(),
+            if delay_s < 0.0 { "early" } else { "late" }
         );
         path.findings.push(Code::Clock.warning(text));
     }

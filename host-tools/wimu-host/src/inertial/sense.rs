@@ -88,7 +88,7 @@ impl Senses {
         {
             senses.uncalibrated = true;
             senses.findings.push(Code::Uncalibrated.warning(format!(
-                "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: calibrate it, `wimu calibrate`",
+                "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: run `wimu calibrate FILE -o CAL.json`, then add --with CAL.json",
                 100.0 * (rest / standard - 1.0)
             )));
         }

@@ -20,19 +20,17 @@ enum Fault {
     SignFlip,
     Sensitivity,
     SensitivityFar,
-    Nonlinear,
     Normalised,
 }
 
 impl Fault {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 7] = [
         Self::ColdStart,
         Self::BiasStep,
         Self::GainChange,
         Self::SignFlip,
         Self::Sensitivity,
         Self::SensitivityFar,
-        Self::Nonlinear,
         Self::Normalised,
     ];
 
@@ -43,7 +41,6 @@ impl Fault {
             Self::ColdStart => Some(Code::Drift),
             Self::BiasStep | Self::GainChange | Self::SignFlip => Some(Code::Step),
             Self::Sensitivity | Self::SensitivityFar => Some(Code::Sensitivity),
-            Self::Nonlinear => Some(Code::Residuals),
             Self::Normalised => Some(Code::AlreadyCorrected),
         }
     }
@@ -145,10 +142,6 @@ fn session(seed: u64, count: usize, fault: Fault) -> Session {
             for (bias, change) in terms.bias_mps2.iter_mut().zip(drift) {
                 *bias += change * (-progress / time_constant).exp();
             }
-        }
-        if fault == Fault::Nonlinear {
-            // 2·10⁻⁶ a count.
-            terms.nonlinearity[axis] = 2e-6 * 2048.0 / G * side;
         }
         let truth = ErrorModel::new(terms).expect("within bounds");
         let force = SpecificForceMps2(ups[k].map(|c| c * G));

@@ -1,6 +1,5 @@
 //! The gyroscope that is calibrated by the turns between poses.
 
-use wimu_host::Code;
 use wimu_host::calibration::{CalibrateOptions, CalibrationReport, calibrate};
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{GyroscopeModel, GyroscopeTerms, STANDARD_GRAVITY_MPS2};

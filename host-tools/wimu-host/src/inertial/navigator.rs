@@ -400,7 +400,7 @@ impl Navigator {
             (self.core.divergences() as usize, diverged),
             (
                 self.contradictions,
-                "later samples contradict the path by far more than σ: it is not smoothed across",
+                "the path is inconsistent with later samples: points before are not smoothed with data after",
             ),
         ];
         found.extend(counted_findings(Code::Navigation, "time", &times));

@@ -58,7 +58,7 @@ pub struct PathPoint {
     pub valid: bool,
 }
 
-/// Standard deviation of each component: not a number where the variance is none.
+/// Standard deviation of each component; NaN where the variance is unknown.
 fn sigma(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
     let variance = |i: usize| covariance[i][i];
     // `max` would make 0 of what is not a number.
@@ -98,7 +98,7 @@ impl PathPoint {
         point
     }
 
-    /// Standard deviation of each component, m: not a number where the variance is none.
+    /// Standard deviation of each component, m; NaN where the variance is unknown.
     pub fn sigma_m(&self) -> [f64; 3] {
         sigma(&self.covariance_m2)
     }

@@ -66,7 +66,7 @@ impl AidUse {
             return None;
         }
         let text = format!(
-            "{rejected} of {all} {} contradict the path by far more than both standard deviations: not used",
+            "{rejected} of {all} {} rejected: their innovations exceed the limit of the test",
             several(self.kind.one)
         );
         let remedy = match delay_s.filter(|_| *self.kind == POSITION) {

@@ -169,9 +169,10 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Proble
             }
         }
         for (from, to, median) in spans {
-            let (how, why) = match median > 0.0 {
-                true => ("longer", "check its position and its line of sight"),
-                false => ("shorter", "has it moved?"),
+            let (how, why) = if median > 0.0 {
+                ("longer", "check its position and its line of sight")
+            } else {
+                ("shorter", "has it moved?")
             };
             let size = significant(median.abs(), 3);
             let text = format!(

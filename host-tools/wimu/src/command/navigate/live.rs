@@ -20,7 +20,7 @@ const LATE_S: f64 = 0.5;
 /// Longest, s.
 const MOST_LATE_S: f64 = 2.0;
 
-/// A line of a position, where so many headings are possible.
+/// The line of a position; `headings` is the number of hypotheses of the heading that are left.
 fn text(point: &PathPoint, headings: usize) -> String {
     let [e, n, u] = point.position_m;
     let (sd, speed) = (point.sd_m(), norm(point.velocity_mps));

@@ -126,7 +126,7 @@ fn a_fix_that_contradicts_the_path_is_reported_drawn_and_not_used() {
     fixes[20].value[0] += 9.0;
     let choice = aided(fixes, 0.0);
     let path = navigate(&recording, &choice).unwrap();
-    assert!(says(&path, "1 of 37 fixes contradict"), "{:?}", path.findings);
+    assert!(says(&path, "1 of 37 fixes rejected"), "{:?}", path.findings);
     // The report draws it apart from the others.
     let page = tempfile::NamedTempFile::new().unwrap();
     path.page("walk", "text", &choice.aids).write(page.path()).unwrap();

@@ -4,10 +4,10 @@ use crate::kit;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use kit::{Simulator, folder, record_calibrated, record_motion_of, wimu};
+use kit::{Simulator, folder, kept_folder, record_calibrated, record_motion_of, wimu};
 use serde_json::Value;
 use wimu_host::calibration::{Calibration, parameter_id, read_parameters};
 use wimu_host::capture::{Boot, Capture};
@@ -20,7 +20,7 @@ use wimu_sim::board::SensorPart;
 
 /// A calibrated LSM6DSO that rests, moves and rests, and its calibration; recorded once.
 struct Session {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
     mcap: String,
     set: ParameterSet,
 }
@@ -29,8 +29,8 @@ impl Session {
     fn get() -> &'static Self {
         static SESSION: OnceLock<Session> = OnceLock::new();
         SESSION.get_or_init(|| {
-            let folder = folder();
-            let at = |name: &str| folder.path().join(name).display().to_string();
+            let folder = kept_folder("six-axes");
+            let at = |name: &str| folder.join(name).display().to_string();
             let (poses, calibration, mcap) = (at("poses.mcap"), at("CAL.json"), at("six.mcap"));
             record_motion_of(SensorPart::Lsm6dso, "twelve-poses", 6, &poses);
             wimu(&["calibrate", &poses, "-o", &calibration]).succeeds();
@@ -87,7 +87,7 @@ fn copied(from: &str, to: &Path) -> (RecordingWriter<fs::File>, u64) {
 #[test]
 fn samples_without_a_rate_have_empty_fields_in_a_table() {
     let session = Session::get();
-    let at = |name: &str| session.folder.path().join(name);
+    let at = |name: &str| session.folder.join(name);
     let (mcap, table) = (at("without.mcap"), at("without.csv").display().to_string());
     let last = *boot(&session.mcap).raw().last().unwrap();
     let mut frame = [0; MAX_FRAME];
@@ -128,7 +128,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
     let session = Session::get();
     let boot = boot(&session.mcap);
     let table = |stream: &str| {
-        let path = session.folder.path().join(stream).with_extension("csv");
+        let path = session.folder.join(stream).with_extension("csv");
         let path = path.display().to_string();
         wimu(&["convert", &session.mcap, "--stream", stream, "-o", &path]).succeeds();
         (table_of(&path), path)
@@ -157,7 +157,7 @@ fn exported_tables_have_rates_and_attitudes_and_serve_as_input() {
         assert!((norm - 1.0).abs() < 1e-6, "{norm}");
     }
 
-    let out = session.folder.path().join("none.csv").display().to_string();
+    let out = session.folder.join("none.csv").display().to_string();
     let none = wimu(&["convert", &session.mcap, "--sensor", "3", "-o", &out]).fails(2, "no_rows");
     assert!(none["remedy"].as_str().unwrap().contains("[0]"), "{none}");
     for input in [&raw_path, &corrected_path, &session.mcap] {
@@ -191,7 +191,7 @@ fn imu(path: &str, topic: &str) -> Vec<[f64; 37]> {
 #[test]
 fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
     let session = Session::get();
-    let out = session.folder.path().join("decoded.mcap").display().to_string();
+    let out = session.folder.join("decoded.mcap").display().to_string();
     wimu(&["convert", &session.mcap, "-o", &out]).succeeds();
     let boot = boot(&session.mcap);
     let data = imu(&out, "/cable/imu/data");
@@ -217,7 +217,7 @@ fn ros_messages_have_angular_velocity_with_covariance_and_orientation() {
 #[test]
 fn a_calibration_whose_source_is_not_known_corrects_with_its_integers() {
     let session = Session::get();
-    let unknown = session.folder.path().join("unknown.mcap");
+    let unknown = session.folder.join("unknown.mcap");
     copied(&session.mcap, &unknown).0.finish().unwrap();
     let unknown = unknown.display().to_string();
     let path = |session: &str| {

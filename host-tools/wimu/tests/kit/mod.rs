@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use std::fmt::{Display, Write};
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -494,6 +494,14 @@ pub fn setup(key: &str, value: impl Display) -> &'static str {
 /// A folder for one test, gone afterwards.
 pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a folder")
+}
+
+/// A new folder in the target folder, for what several tests of one run share.
+pub fn kept_folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).expect("the target folder is writable");
+    folder
 }
 
 /// A path in a folder of its own.

@@ -45,8 +45,8 @@ pub struct Estimate {
     pub max_mps2: f64,
     /// Index of the pose with the largest residual.
     pub worst_pose: usize,
-    /// Leave-one-out error: residual of each pose under the model fitted without it, m/s² rms over
-    /// all poses; `None` if a pose cannot be left out (six-position with one pose per side).
+    /// Leave-one-out error: residual of each fitted pose under the model fitted without it, m/s² rms;
+    /// `None` if a pose cannot be left out (six-position with one pose per side).
     pub loo_rms_mps2: Option<f64>,
     /// Leave-one-out error with whole orientations left out, which is the one that is judged;
     /// `None` if no orientation is repeated. With more than 256 poses, repeated orientations are

@@ -232,9 +232,13 @@ impl Found<'_> {
         // By orientation: a repeated orientation does not confirm the model elsewhere.
         let again = problem.independent().1;
         let by_orientation = again.then(|| problem.left_out(fit, false));
-        let judged = by_orientation.as_ref().unwrap_or(&left_out);
-        let mut kept_left_out = Residuals::default();
-        problem.kept().for_each(|k| kept_left_out.add(k, judged[k]));
+        // A rejected pose says nothing of the fit: it would hide how well the others are predicted.
+        let of_kept = |residuals: &[f64]| {
+            let mut kept = Residuals::default();
+            problem.kept().for_each(|k| kept.add(k, residuals[k]));
+            kept
+        };
+        let kept_left_out = of_kept(by_orientation.as_ref().unwrap_or(&left_out));
         let sd = libm::sqrt(shared.variance);
         let mut term_sd = TermDeviations::default();
         term_sd.add_fitted(free, |i| shared.variance * shared.spread[(i, i)]);
@@ -259,8 +263,8 @@ impl Found<'_> {
             fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,
             worst_pose: all.worst_pose,
-            loo_rms_mps2: Some(Residuals::of_each(&left_out).rms_mps2()),
-            loo_orientation_rms_mps2: by_orientation.map(|r| Residuals::of_each(&r).rms_mps2()),
+            loo_rms_mps2: Some(of_kept(&left_out).rms_mps2()),
+            loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms_mps2()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
             rejected: problem.rejected.clone(),
             beyond_bounds: None,

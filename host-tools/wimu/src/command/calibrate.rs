@@ -174,7 +174,6 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             &formats::load(&path, &reading(arguments).0)?,
             [arguments.reference, arguments.sensor],
             sensitivity,
-            None,
         )?
         .at_range(arguments.range),
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
@@ -185,7 +184,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             ));
         }
     };
-    let report = calibration::compare_with_reference(&data, None, utc_s())?;
+    let report = calibration::compare_with_reference(&data, utc_s());
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, &report.outcome, path, file, output, || {
         write_page(arguments, || report.page(&data))

@@ -182,7 +182,6 @@ fn the_standard_deviation_between_sessions_is_estimated_without_bias() {
             let k = group as usize;
             ratios[k] += (found.between_sd[k] / LARGE[k]).powi(2) / sensors as f64;
         }
-        assert!(found.within_sd[0] < 0.002 && found.within_sd[1] < 3e-4);
     }
     for ratio in ratios {
         assert!(rms_ratio_can_be(ratio.sqrt(), 12 * sensors, 1.0..=1.0), "{ratios:?}");

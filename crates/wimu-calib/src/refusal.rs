@@ -6,8 +6,6 @@ use core::fmt;
 
 use wimu_model::ModelError;
 
-use crate::Model;
-
 /// Why the data do not support a result, and what to do.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
@@ -133,24 +131,13 @@ impl Refusal {
         Self::new(Reason::Axis { axis, clipped: false }, text)
     }
 
-    /// Whether more poses, or fewer parameters, would help.
+    /// Whether more poses, or priors, would help.
     pub fn needs_poses(&self) -> bool {
         let Self { reason, .. } = self;
         matches!(
             reason,
             Reason::TooFew { .. } | Reason::NotObservable | Reason::PoorPrediction { .. }
         )
-    }
-
-    /// Adds the largest model smaller than `model` that `supported` accepts.
-    pub(crate) fn advise(mut self, model: Model, supported: impl Fn(Model) -> bool) -> Self {
-        if self.needs_poses() {
-            let mut smaller = core::iter::successors(model.smaller(), |model| model.smaller());
-            if let Some(model) = smaller.find(|model| supported(*model)) {
-                self.text += &format!(" These poses support the {model}.");
-            }
-        }
-        self
     }
 }
 

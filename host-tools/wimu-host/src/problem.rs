@@ -336,8 +336,6 @@ codes! {
     Step = "step", 3;
     /// The nominal sensitivity is not that of the data, or an axis departs far from it.
     Sensitivity = "sensitivity", 3;
-    /// A smaller model was used because a parameter of the one that fits best is not plausible.
-    SmallerModel = "smaller_model", 3;
     /// The data were normalised or corrected before.
     AlreadyCorrected = "already_corrected", 3;
     /// Estimates compared with the limits of a datasheet.

@@ -187,7 +187,7 @@ impl fmt::Display for UnitHint {
         out.write_str(match self {
             Self::G => "which looks like g, not m/s²: name the unit g (`--units g`)",
             Self::Mps2TakenForG => {
-                "which looks like m/s² converted as if it were g: name the unit m/s2; or the \
+                "which looks like m/s² converted as if it were g: `--units m/s2`; or the \
                  sensitivity is ten times too small"
             }
             Self::MilliGOrCounts => {

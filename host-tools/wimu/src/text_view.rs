@@ -40,10 +40,14 @@ impl<'a> TextView<'a> {
         let (columns, lines) = terminal_size().unwrap_or((80, 24));
         let rows = rows().iter().map(|row| printable(row)).collect::<Vec<_>>().join("\n");
         // Some terminals wrap after the last column.
-        let rows = wrapped(&rows, Some(columns.saturating_sub(1)));
+        let width = columns.saturating_sub(1);
+        let height = lines.saturating_sub(1);
+        // Long rows go on in the next one where all fit, else they are cut.
+        let whole = wrapped(&rows, Some(width));
+        let shown = if whole.lines().count() <= height { &*whole } else { &*rows };
         let mut text = "\x1b[H".to_owned();
-        for row in rows.lines().take(lines.saturating_sub(1)) {
-            text.extend(row.chars().take(columns.saturating_sub(1)));
+        for row in shown.lines().take(height) {
+            text.extend(row.chars().take(width));
             text += "\x1b[K\r\n";
         }
         self.output.write((text + "\x1b[J").as_bytes())

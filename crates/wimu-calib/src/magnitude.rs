@@ -153,7 +153,7 @@ impl<'a> Magnitude<'a> {
         }
     }
 
-    /// Gives the parameters that `has_prior` selects the prior of typical datasheets.
+    /// Gives the parameters that `has_prior` selects the prior of typical datasheets: equation (42a).
     pub fn set_priors(&mut self, has_prior: impl Fn(&Slot) -> bool) {
         let prior = |slot: &Slot| slot.usual_sd().filter(|_| has_prior(slot));
         self.prior_sd = self.free.iter().map(prior).collect();
@@ -195,7 +195,7 @@ impl<'a> Magnitude<'a> {
         (dof * (USUAL_MPS2 * USUAL_MPS2 + self.mean_noise()), dof)
     }
 
-    /// Variance of a residual of weight 1.
+    /// Variance of a residual of weight 1: equation (42a).
     pub fn variance(&self, fit: &Fit) -> f64 {
         let (squares, usual_dof) = self.usual();
         let dof = self.count() as f64 - self.determined(fit);

@@ -28,8 +28,8 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::calibration::{Correction, SensorCalibration};
 use crate::csv::{self, CsvWriter};
+use crate::imu::FIELD_CALIBRATED;
 use crate::mcap_file::RosFile;
-use crate::motion::FIELD_CALIBRATED;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
@@ -38,6 +38,69 @@ use crate::{Code, OutputFile, Problem, Result};
 
 /// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
 const NOT_GRAVITY: f64 = 0.3;
+
+/// The tracks of one unit, and what corrects them: the one way from the output of sensors to SI and body axes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tracks<'a> {
+    pub correction: Correction,
+    pub force: &'a Track,
+    pub rate: Option<&'a Track>,
+    pub field: Option<&'a Track>,
+    pub temperature: Option<&'a Track>,
+}
+
+/// A row of an accelerometer, corrected, with what was measured beside it.
+pub(crate) struct Row {
+    /// Its number in the track of the accelerometer.
+    pub index: usize,
+    /// ns on the clock of the recording.
+    pub time_ns: i64,
+    /// m/s², body axes; not a number where the sensor gave none.
+    pub force_mps2: [f64; 3],
+    /// rad/s, body axes.
+    pub rate_rad_s: Option<[f64; 3]>,
+    /// As measured, T, sensor axes.
+    pub field_t: Option<[f64; 3]>,
+    /// The latest, °C.
+    pub temperature_c: Option<f64>,
+}
+
+impl<'a> Tracks<'a> {
+    /// The rows in the order of time. A masked row of numbers is out of order, and has no place in the sequence.
+    pub fn rows(self) -> impl Iterator<Item = Row> + use<'a> {
+        let Self { correction, force, .. } = self;
+        let rate = self.rate.map(|track| {
+            // What the device has corrected is in body axes.
+            let rad_s = correction.rad_s_per_unit(&track.info).filter(|_| !track.info.corrected);
+            (track.beside::<3>(force), rad_s)
+        });
+        let mut field = self.field.map(|track| track.beside::<3>(force));
+        let mut temperature = self.temperature.map(|track| track.beside::<1>(force));
+        let mut celsius = None;
+        force.times_ns().iter().copied().enumerate().filter_map(move |(index, time_ns)| {
+            let output: [f64; 3] = force.row(index)?.try_into().ok()?;
+            if !force.mask()[index] && output.iter().all(|axis| axis.is_finite()) {
+                return None;
+            }
+            let now = temperature.as_mut().and_then(|track| track.latest(index, time_ns));
+            celsius = now.map(|[celsius]| celsius).or(celsius);
+            let rate_rad_s = rate.as_ref().and_then(|(track, rad_s)| {
+                let value = track.at(index, time_ns)?;
+                Some(rad_s.map_or(value, |rad_s| {
+                    correction.rate(value.map(|axis| axis * rad_s), output, celsius)
+                }))
+            });
+            Some(Row {
+                index,
+                time_ns,
+                force_mps2: correction.sample(output, celsius),
+                rate_rad_s,
+                field_t: field.as_mut().and_then(|track| track.latest(index, time_ns)),
+                temperature_c: celsius,
+            })
+        })
+    }
+}
 
 /// A corrected sample, body axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,12 +121,7 @@ pub struct Corrected {
 #[derive(Debug)]
 pub struct CorrectedRecording<'a> {
     calibration: &'a SensorCalibration,
-    correction: Correction,
-    force: &'a Track,
-    /// With rad/s per unit.
-    rate: Option<(&'a Track, f64)>,
-    field: Option<&'a Track>,
-    temperature: Option<&'a Track>,
+    tracks: Tracks<'a>,
     /// What was noticed, without the findings of the recording.
     pub findings: Vec<Problem>,
 }
@@ -79,13 +137,15 @@ impl<'a> CorrectedRecording<'a> {
         let force = force.ok_or_else(|| at(no_force(recording)))?;
         let mut corrected = Self {
             calibration,
-            correction: calibration.compile(&force.info).map_err(at)?,
-            force,
-            rate: None,
-            field: recording
-                .first(Quantity::MagneticField)
-                .filter(|track| track.info.unit == Unit::Si),
-            temperature: recording.first(Quantity::Temperature),
+            tracks: Tracks {
+                correction: calibration.compile(&force.info).map_err(at)?,
+                force,
+                rate: None,
+                field: recording
+                    .first(Quantity::MagneticField)
+                    .filter(|track| track.info.unit == Unit::Si),
+                temperature: recording.first(Quantity::Temperature),
+            },
             findings: Vec::new(),
         };
         if force.info.corrected {
@@ -117,9 +177,9 @@ impl<'a> CorrectedRecording<'a> {
     fn choose_rate(&mut self, recording: &'a Recording) {
         let Some(track) = chosen(recording, Quantity::AngularRate) else { return };
         let name = &track.info.name;
-        let scale = self.correction.rad_s_per_unit(&track.info);
-        let [is_calibrated, _] = self.correction.has();
-        self.rate = scale.map(|scale| (track, scale));
+        let scale = self.tracks.correction.rad_s_per_unit(&track.info);
+        let [is_calibrated, _] = self.tracks.correction.has();
+        self.tracks.rate = scale.map(|_| track);
         if scale.is_none() {
             let text = format!("`{name}` is left out: its unit is not known");
             self.findings.push(Code::Uncalibrated.warning(text));
@@ -132,32 +192,16 @@ impl<'a> CorrectedRecording<'a> {
 
     /// The corrected samples, in the order of the recording.
     pub fn rows(&self) -> impl Iterator<Item = Corrected> {
-        let mut rate = self.rate.map(|(track, _)| track.beside(self.force));
-        let mut field = self.field.map(|track| track.beside(self.force));
-        let mut temperature = self.temperature.map(|track| track.beside(self.force));
-        let mut celsius = None;
-        let times = self.force.times_ns().iter().enumerate();
-        times.filter_map(move |(row, time_ns)| {
-            let rate = rate.as_mut().and_then(|track| track.at(row, *time_ns));
-            let field = field.as_mut().and_then(|track| track.latest(row, *time_ns));
-            let now = temperature.as_mut().and_then(|track| track.latest(row, *time_ns));
-            celsius = now.map(|row| row[0]).or(celsius);
-            let output = self.force.row(row).filter(|_| self.force.mask()[row])?;
-            let output: [f64; 3] = output.try_into().ok()?;
-            let rate = rate.zip(self.rate).map(|(rate, (_, scale)): ([f64; 3], _)| {
-                self.correction.rate(rate.map(|axis| axis * scale), output, celsius)
-            });
-            let tesla: Option<[f64; 3]> = field.and_then(|row| row.try_into().ok());
-            Some(Corrected {
-                time_ns: *time_ns,
-                force_mps2: self.correction.sample(output, celsius),
-                rate_rad_s: rate,
-                field_ut: tesla.map(|tesla| {
-                    let measured = tesla.map(|axis| axis * 1e6);
-                    self.correction.field_ut(tesla).unwrap_or(measured)
-                }),
-                temperature_c: celsius,
-            })
+        let is_number = |row: &Row| row.force_mps2.iter().all(|axis| axis.is_finite());
+        self.tracks.rows().filter(is_number).map(move |row| Corrected {
+            time_ns: row.time_ns,
+            force_mps2: row.force_mps2,
+            rate_rad_s: row.rate_rad_s,
+            field_ut: row.field_t.map(|tesla| {
+                let measured = tesla.map(|axis| axis * 1e6);
+                self.tracks.correction.field_ut(tesla).unwrap_or(measured)
+            }),
+            temperature_c: row.temperature_c,
         })
     }
 
@@ -183,32 +227,32 @@ impl<'a> CorrectedRecording<'a> {
         let calibrated = self.is_field_calibrated();
         let mut columns = vec![csv::TIME.to_owned()];
         columns.extend(csv::axes("Accelerometer", "m/s²"));
-        if self.field.is_some() {
+        if self.tracks.field.is_some() {
             columns.extend(csv::axes("Magnetometer", "µT"));
         }
-        if self.temperature.is_some() {
+        if self.tracks.temperature.is_some() {
             columns.push(csv::TEMPERATURE.to_owned());
         }
-        if self.field.is_some() {
+        if self.tracks.field.is_some() {
             columns.push(FIELD_CALIBRATED.to_owned());
         }
-        if self.rate.is_some() {
+        if self.tracks.rate.is_some() {
             columns.extend(csv::axes("Gyroscope", "rad/s"));
         }
         let mut writer = CsvWriter::new(BufWriter::new(sink), output.name(), &columns)?;
         let mut count = 0;
         for row in self.rows() {
             (writer.time(Some(row.time_ns))).vector(Some(row.force_mps2));
-            if self.field.is_some() {
+            if self.tracks.field.is_some() {
                 writer.vector(row.field_ut);
             }
-            if self.temperature.is_some() {
+            if self.tracks.temperature.is_some() {
                 writer.number(row.temperature_c);
             }
-            if self.field.is_some() {
+            if self.tracks.field.is_some() {
                 writer.field(u8::from(calibrated));
             }
-            writer.vector(row.rate_rad_s.filter(|_| self.rate.is_some()));
+            writer.vector(row.rate_rad_s.filter(|_| self.tracks.rate.is_some()));
             writer.end_row()?;
             count += 1;
         }

@@ -1,35 +1,19 @@
-//! One unit's recording: accelerometer, and magnetometer, angular rate and true path where the file
-//! has them.
+//! One unit's samples, corrected, with the truth where the file has it: what navigates.
 
-mod arrival;
-mod clocks;
-mod table;
+mod read;
 
-pub(crate) use arrival::TIME_SD_S;
-pub use arrival::sampled_times;
-pub(crate) use clocks::{one_clock, other_clock};
-pub use table::TableOptions;
+pub use read::ImuOptions;
+pub use wimu_nav::navigator::Sample;
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{Matrix3, SMatrix, Vector3, Vector4};
 use wimu_model::{Alignment, ModelCovariance};
 
 use crate::Problem;
-use crate::stats::{median, norm};
-
-/// A sample of one unit, corrected, body frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct UnitSample {
-    /// Time since the sample before, s.
-    pub step_s: f64,
-    /// Specific force, m/s².
-    pub force_mps2: [f64; 3],
-    /// Magnetic field, µT.
-    pub field_ut: Option<[f64; 3]>,
-    /// Angular rate, rad/s.
-    pub rate_rad_s: Option<[f64; 3]>,
-}
+use crate::recording::{Origin, Quantity, Recording, Track};
+use crate::rests::{RestLimits, rests};
+use crate::series::{Flags, Interp, Ns, Series};
 
 /// Standard deviation of the bias of a calibrated consumer accelerometer, m/s²: what its turn-on changes (datasheets).
 const BIAS_MPS2: f64 = 0.05;
@@ -39,65 +23,86 @@ const UNKNOWN_BIAS_MPS2: f64 = 0.1;
 /// Change of scale factor and misalignment after a calibration: 0.01 %/K over 10 K (LSM6DSO, MPU-9250 datasheets).
 const MATRIX_CHANGE: f64 = 0.001;
 
-/// A longer pause between samples is a gap: 0.25 s, or four times the usual step.
-pub fn gap_s(times_s: &[f64]) -> f64 {
-    f64::max(0.25, 4.0 * median_step_s(times_s))
-}
-
-/// Median time between two samples, s; 0 of fewer than two.
-pub fn median_step_s(times_s: &[f64]) -> f64 {
-    median(times_s.windows(2).map(|w| w[1] - w[0])).unwrap_or(0.0)
-}
-
-/// Where the unit truly was.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Truth {
-    /// Position, m, east-north-up.
-    pub position_m: [f64; 3],
-    /// Body to navigation axes, W X Y Z.
-    pub quaternion: [f64; 4],
-}
-
-impl Truth {
-    /// Direction of body x from east to north, rad.
-    pub fn heading_rad(&self) -> f64 {
-        heading_rad(self.quaternion)
-    }
-}
-
-/// Heading of the rotation from body to navigation axes: angle of body x from east towards north, rad.
-pub(crate) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
-    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
-}
-
 /// The column that says whether the magnetic field is corrected.
 pub(crate) const FIELD_CALIBRATED: &str = "Field Calibrated";
 
 /// The column that says whether the unit moves.
 pub(crate) const MOVING: &str = "Moving";
 
-/// Deviations up to which something is likely.
+/// Standard deviations up to which a departure from gravity is explained by the bias.
 pub(crate) const LIKELY: f64 = 3.0;
 
-/// Full scale of an accelerometer that is not known, m/s²: that of the widest digital MEMS accelerometers is ± 200 g
-/// (ADXL375, datasheet).
-pub const FULL_SCALE_MPS2: f64 = 2000.0;
-/// The same of a gyroscope, rad/s: 20,000 deg/s (ADXRS649, datasheet).
-pub const FULL_SCALE_RAD_S: f64 = 350.0;
-/// The same of a magnetometer, µT: ± 50 gauss (LSM303AGR, datasheet).
-pub const FULL_SCALE_UT: f64 = 5000.0;
+/// Where a body truly was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Position, m, east-north-up.
+    pub position_m: [f64; 3],
+    /// Body to navigation axes, W X Y Z; NaN where it is not known.
+    pub quaternion: [f64; 4],
+}
 
-/// Samples of one unit, corrected, in SI.
+/// What a reference system says of a body; empty where the file does not have it.
 #[derive(Clone, Debug, Default)]
-pub struct MotionRecording {
+pub struct Reference {
+    /// Position, m, east-north-up.
+    pub position_m: Series<Vector3<f64>>,
+    /// Velocity, m/s, east-north-up.
+    pub velocity_mps: Series<Vector3<f64>>,
+    /// Body to navigation axes, W X Y Z.
+    pub quaternion: Series<Vector4<f64>>,
+    /// Angular rate, rad/s, body axes.
+    pub rate_rad_s: Series<Vector3<f64>>,
+    /// Above 0.5 where the body moves.
+    pub moving: Series<f64>,
+}
+
+impl Reference {
+    /// That of the tracks of a file.
+    pub(crate) fn of(file: &Recording) -> Self {
+        let truth = |quantity| {
+            let mut tracks = file.of(quantity);
+            tracks.find(|track: &&Track| track.info.origin == Origin::Truth)
+        };
+        let vectors = |quantity| truth(quantity).map_or_else(Series::default, Track::series);
+        let moving = file.of(Quantity::Scalar).find(|track| track.info.name == MOVING);
+        Self {
+            position_m: vectors(Quantity::Position),
+            velocity_mps: vectors(Quantity::Velocity),
+            quaternion: truth(Quantity::Attitude).map_or_else(Series::default, Track::series),
+            rate_rad_s: vectors(Quantity::AngularRate),
+            moving: moving.map_or_else(Series::default, |track| track.series::<1>().map(|v| v[0])),
+        }
+    }
+
+    /// Position and attitude at times.
+    pub(crate) fn on(&self, times: &[Ns]) -> Vec<Option<Truth>> {
+        let at = |time: &Ns| {
+            let quaternion = self.quaternion.at(*time, Interp::Linear);
+            Some(Truth {
+                position_m: self.position_m.at(*time, Interp::Linear)?.value.into(),
+                quaternion: quaternion.map_or([f64::NAN; 4], |at| at.value.into()),
+            })
+        };
+        times.iter().map(at).collect()
+    }
+
+    /// The column `Moving` at times, where the file has it.
+    pub(crate) fn moving_on(&self, times: &[Ns]) -> Option<Vec<f64>> {
+        let values = self.moving.on(times.iter().copied(), Interp::Linear);
+        let values = values.map(|at| at.map_or(f64::NAN, |at| at.value));
+        (!self.moving.is_empty()).then(|| values.collect())
+    }
+}
+
+/// Samples of one unit, corrected, in SI, body axes.
+#[derive(Clone, Debug, Default)]
+pub struct Imu {
     /// What errors call it.
     pub name: String,
-    /// Time of each sample, s.
-    pub times_s: Vec<f64>,
-    /// The samples.
-    pub samples: Vec<UnitSample>,
-    /// `Truth …` columns, where they are filled in.
-    pub truth: Vec<Option<Truth>>,
+    /// The samples. What the accelerometer did not measure is not a number.
+    pub samples: Series<Sample>,
+    /// Where the unit truly was, where the file has it.
+    pub reference: Reference,
     /// What was noticed at reading.
     pub findings: Vec<Problem>,
     /// Covariance of the calibration of its accelerometer, body axes: bias, m/s², then the matrix by rows; `None` where it
@@ -106,25 +111,40 @@ pub struct MotionRecording {
     /// Whether the covariance is that of a new session and includes the turn-on bias: a calibration from several
     /// sessions measured it.
     pub of_sessions: bool,
-    /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond
-    /// [`FULL_SCALE_MPS2`], was not measured.
+    /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond that of any
+    /// accelerometer, was not measured.
     pub full_scale_mps2: Option<f64>,
     /// Whether a magnetic field was left out because its magnetometer is not calibrated.
     pub field_uncalibrated: bool,
-    /// The column `Moving`, where the file has it: above 0.5 where the unit moves by its reference.
-    pub moving: Option<Vec<f64>>,
 }
 
-impl MotionRecording {
-    /// Samples without truth, as many as times.
-    pub fn new(name: impl Into<String>, times_s: Vec<f64>, samples: Vec<UnitSample>) -> Self {
+impl Imu {
+    /// Without samples.
+    pub fn new(name: impl Into<String>) -> Self {
+        Self { name: name.into(), ..Self::default() }
+    }
+
+    /// Adds a sample, with the step from the last one; returns whether it is later than that.
+    pub fn push(&mut self, time: Ns, sample: Sample) -> bool {
+        let last = self.samples.t.last().copied().unwrap_or(time);
+        let sample = Sample { step_s: time.s() - last.s(), ..sample };
+        self.samples.push(time, sample, Flags::NONE)
+    }
+
+    /// The same without samples.
+    pub(crate) fn without_samples(&self) -> Self {
         Self {
-            name: name.into(),
-            truth: vec![None; samples.len()],
-            times_s,
-            samples,
-            ..Self::default()
+            name: self.name.clone(),
+            samples: Series::default(),
+            reference: self.reference.clone(),
+            findings: self.findings.clone(),
+            ..*self
         }
+    }
+
+    /// Times of the samples, s.
+    pub(crate) fn times_s(&self) -> Vec<f64> {
+        self.samples.t.iter().map(|time| time.s()).collect()
     }
 
     /// Why there is no magnetic field, for a finding.
@@ -175,76 +195,44 @@ impl MotionRecording {
     }
 
     /// Mean |f| of the first second at rest, where it may be gravity, m/s².
-    pub fn first_rest_mps2(&self) -> Option<f64> {
+    fn first_rest_mps2(&self) -> Option<f64> {
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
-        let end = self.times_s.first()? + 60.0;
-        let mut seconds = self.seconds().take_while(|second| {
-            self.times_s[second.samples.start] < end && second.samples.len() >= QUIET_SAMPLES
-        });
-        let is_rest =
-            |second: &Second| second.is_quiet() && (second.mean_mps2 / standard - 1.0).abs() < 0.1;
-        seconds.find(is_rest).map(|second| second.mean_mps2)
-    }
-
-    /// The samples, a second at a time.
-    pub(crate) fn seconds(&self) -> impl Iterator<Item = Second> {
-        let mut from = 0;
-        std::iter::from_fn(move || {
-            let end = self.times_s.get(from)? + 1.0;
-            let to = self.times_s.partition_point(|t| *t < end).max(from + 1);
-            let sizes = self.samples[from..to].iter().map(|s| norm(s.force_mps2));
-            let count = (to - from) as f64;
-            let mean_mps2 = sizes.clone().sum::<f64>() / count;
-            let variance = sizes.map(|f| (f - mean_mps2).powi(2)).sum::<f64>() / count;
-            Some(Second { samples: std::mem::replace(&mut from, to)..to, mean_mps2, variance })
+        let end = self.samples.t.first()?.after_s(FIRST_S);
+        let mut rests = self.still_seconds().into_iter();
+        rests.find_map(|(second, mean_mps2)| {
+            let is_early = self.samples.t[second.start] < end;
+            (is_early && (mean_mps2 / standard - 1.0).abs() < NEAR).then_some(mean_mps2)
         })
     }
-}
 
-/// Fewest samples of a quiet second, and the largest standard deviation of |f| in it, m/s².
-const QUIET_SAMPLES: usize = 10;
-const QUIET_MPS2: f64 = 0.15;
-
-/// A second of samples.
-pub(crate) struct Second {
-    pub samples: Range<usize>,
-    /// Mean of |f|, m/s².
-    pub mean_mps2: f64,
-    /// Variance of |f|, m²/s⁴.
-    variance: f64,
-}
-
-impl Second {
-    /// Whether the unit may be at rest.
-    pub fn is_quiet(&self) -> bool {
-        self.samples.len() >= QUIET_SAMPLES && self.variance < QUIET_MPS2 * QUIET_MPS2
+    /// The first second of each rest, as the accelerometer alone shows rests whatever it gives for gravity, and mean |f|
+    /// there, m/s².
+    pub(crate) fn still_seconds(&self) -> Vec<(Range<usize>, f64)> {
+        let mut limits = RestLimits::default();
+        (limits.window_s, limits.force_mps2, limits.threshold) = (STILL_S, STILL_MPS2, 3.0);
+        limits.force_offset_mps2 = f64::INFINITY;
+        let samples = self.samples.v.iter().map(|s| (s.force_mps2, None, s.step_s));
+        let second = |rest: Range<usize>| {
+            let begin = self.samples.t[rest.start].after_s(-STILL_S);
+            let second = self.samples.t.partition_point(|t| *t <= begin)..rest.start + 1;
+            let sizes = self.samples.v[second.clone()].iter().map(|s| s.force_mps2.norm());
+            let mean_mps2 = sizes.sum::<f64>() / second.len() as f64;
+            (second.len() >= STILL_SAMPLES).then_some((second, mean_mps2))
+        };
+        rests(samples, limits).into_iter().filter_map(second).collect()
     }
 }
 
-/// eᵀ P⁻¹ e of a position error, m, with covariance P, m².
-pub fn nees(error: [f64; 3], p: [[f64; 3]; 3]) -> f64 {
-    let det = |m: [[f64; 3]; 3]| {
-        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1])
-            - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
-            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
-    };
-    let whole = det(p);
-    if whole <= 0.0 {
-        return f64::INFINITY;
-    }
-    (0..3)
-        .map(|column| {
-            let mut changed = p;
-            for (row, e) in changed.iter_mut().zip(error) {
-                row[column] = e;
-            }
-            det(changed) / whole * error[column]
-        })
-        .sum()
-}
+/// Time in which gravity is looked for, s, and its largest departure from the standard one, relative.
+const FIRST_S: f64 = 60.0;
+const NEAR: f64 = 0.1;
+/// Length of a rest that shows gravity, s, its fewest samples, and the noise there, m/s², a component.
+const STILL_S: f64 = 1.0;
+const STILL_SAMPLES: usize = 10;
+const STILL_MPS2: f64 = 0.15;
 
 /// The covariance of an error model, in the axes of the body: b ← R b, M ← R M Rᵀ.
-pub(crate) fn in_body_axes(known: &ModelCovariance, alignment: &Alignment) -> [[f64; 12]; 12] {
+fn in_body_axes(known: &ModelCovariance, alignment: &Alignment) -> [[f64; 12]; 12] {
     let rotation = Matrix3::from_row_slice(alignment.matrix().as_flattened());
     let mut change = SMatrix::<f64, 12, 12>::zeros();
     change.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::InertialPath;
 use wimu_host::localization::{
     AnchorPosition, Increment, LocalizationChoice, RangeRecording, RangeSample, Ranged, localize,
 };
-use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::series::Ns;
 use wimu_host::{Code, Problem, Severity};
 use wimu_testkit::{Coverage, Lane, Random, rms_ratio_can_be};
 
@@ -365,7 +366,7 @@ fn a_gyroscope_does_not_make_the_path_worse() {
     let hall = hall(8, &HALL);
     let alone = rmse(&found(&hall.recording));
     let mut random = Random::new(80);
-    let (mut motion, step) = (MotionRecording::new("imu", Vec::new(), Vec::new()), 0.01);
+    let (mut motion, step) = (Imu::new("imu"), 0.01);
     for k in 0..6000 {
         let t = f64::from(k) * step;
         // The body turns about the vertical; the body is at 1 rad at the start.
@@ -376,14 +377,11 @@ fn a_gyroscope_does_not_make_the_path_worse() {
         let [e, n] = [second(0), second(1)];
         let (s, c) = heading.sin_cos();
         let force = [c * e + s * n, c * n - s * e, second(2) + G];
-        motion.times_s.push(t);
-        motion.truth.push(None);
-        motion.samples.push(UnitSample {
-            step_s: step,
-            force_mps2: force.map(|f| f + 0.03 + 0.05 * random.normal()),
-            field_ut: None,
-            rate_rad_s: Some([0.002, -0.003, 0.2 + 0.004].map(|w| w + 0.003 * random.normal())),
-        });
+        let force = force.map(|f| f + 0.03 + 0.05 * random.normal());
+        let rate = [0.002, -0.003, 0.2 + 0.004].map(|w| w + 0.003 * random.normal());
+        let sample =
+            Sample { force_mps2: force.into(), rate_rad_s: Some(rate.into()), ..Sample::default() };
+        motion.push(Ns::from_s(t), sample);
     }
     let recording = RangeRecording { motion: Some(motion), ..hall.recording };
     let found = found(&recording);

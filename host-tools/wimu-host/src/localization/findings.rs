@@ -8,8 +8,9 @@ use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
 use crate::digits::significant;
-use crate::motion::one_clock;
+use crate::inertial::one_clock;
 use crate::plural::counted;
+use crate::series::Ns;
 use crate::stats::median;
 use crate::{Code, Problem, Result};
 
@@ -221,7 +222,7 @@ pub(super) fn same_time(recording: &RangeRecording) -> Result<()> {
     let ranges = ends(&recording.ranges, |range| range.time_s);
     let wheels = ends(&recording.increments, |increment| increment.time_s);
     let motion = recording.motion.as_ref();
-    let motion = motion.and_then(|motion| ends(&motion.times_s, |time_s| *time_s));
+    let motion = motion.and_then(|motion| motion.samples.span()).map(|span| span.map(Ns::s));
     for (what, other) in [("odometry", wheels), ("inertial samples", motion)] {
         if let (Some(ranges), Some(other)) = (ranges, other) {
             one_clock([("ranges", ranges), (what, other)]).map_err(|e| e.at(&recording.name))?;

@@ -175,7 +175,7 @@ impl RangeRecording {
             self.findings.push(Code::SamplesLeftOut.warning(text));
         }
         let times_s: Vec<f64> = rows.iter().map(|row| row[0]).collect();
-        let usual_s = crate::motion::median_step_s(&times_s);
+        let usual_s = crate::inertial::median_step_s(&times_s);
         if usual_s <= 0.0 {
             return Err(table.empty("there are fewer than two increments", "check the file"));
         }

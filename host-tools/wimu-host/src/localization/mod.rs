@@ -18,9 +18,9 @@ pub use model::RangePrior;
 pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
 
+use crate::imu::Imu;
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
-use crate::motion::{MotionRecording, UnitSample};
 use crate::{Code, Problem, Result};
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use run::{DELAY_S, Motion, Recording, Run};
@@ -86,7 +86,7 @@ pub struct RangeRecording {
     /// Wheel odometry; empty without.
     pub increments: Vec<Increment>,
     /// Samples of an inertial sensor.
-    pub motion: Option<MotionRecording>,
+    pub motion: Option<Imu>,
     /// What was noticed at reading.
     pub findings: Vec<Problem>,
 }
@@ -189,25 +189,20 @@ pub struct Ranged {
 
 /// Samples of an inertial sensor from the first range on, and the attitude that levels them; or why they are not used.
 fn inertial(
-    motion: &MotionRecording,
+    motion: &Imu,
     first_s: f64,
 ) -> std::result::Result<(Motion<'_>, Rotation3<f64>), &'static str> {
-    let from = motion.times_s.partition_point(|t| *t < first_s);
-    let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
-    let begin_s = *times_s.first().ok_or("they end before the first range")?;
+    let from = motion.samples.t.partition_point(|t| t.s() < first_s);
+    let (times, samples) = (&motion.samples.t[from..], &motion.samples.v[from..]);
+    let begin = times.first().ok_or("they end before the first range")?;
     if samples.iter().all(|s| s.rate_rad_s.is_none()) {
         return Err("without a gyroscope the direction of the acceleration is not known");
     }
-    let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
-    let sample = |s: &UnitSample| Sample {
-        step_s: s.step_s,
-        force_mps2: s.force_mps2.into(),
-        rate_rad_s: None,
-        field_ut: None,
-    };
+    let count = times.partition_point(|t| *t < begin.after_s(ALIGNMENT_S));
+    let sample = |s: &Sample| Sample { rate_rad_s: None, field_ut: None, ..*s };
     let first: Vec<Sample> = samples[..count].iter().map(sample).collect();
     let aligned = Alignment::align(&first, false).ok_or("they do not show gravity at the start")?;
-    Ok((Motion::Inertial(times_s, samples), aligned.attitude))
+    Ok((Motion::Inertial(times, samples), aligned.attitude))
 }
 
 /// Time of the initial alignment with gravity, s.

@@ -56,8 +56,8 @@ fn files(seed: u64) -> [(&'static str, String); 4] {
     let mut walk = "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),\
         Gyroscope X (rad/s),Gyroscope Y (rad/s),Gyroscope Z (rad/s)\n"
         .to_owned();
-    for (time_s, sample) in sensed.times_s.iter().zip(&sensed.samples) {
-        let _ = write!(walk, "{time_s:.2}");
+    for (time, sample) in sensed.samples.t.iter().zip(&sensed.samples.v) {
+        let _ = write!(walk, "{:.2}", time.s());
         for value in sample.force_mps2.iter().chain(sample.rate_rad_s.iter().flatten()) {
             let _ = write!(walk, ",{value:.5}");
         }

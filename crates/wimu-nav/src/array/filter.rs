@@ -307,7 +307,7 @@ impl<const M: usize> ArrayFilter<M> {
             }
             refine(-own);
             let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
-            for root in roots.hypotheses() {
+            for root in roots.iter() {
                 let root = Vector3::from(root.rate_rad_s);
                 if near(&root) {
                     refine(root);

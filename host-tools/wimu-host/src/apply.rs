@@ -49,25 +49,26 @@ pub(crate) struct Tracks<'a> {
     pub temperature: Option<&'a Track>,
 }
 
-/// A row of an accelerometer, corrected, with what was measured beside it.
-pub(crate) struct Row {
-    /// Its number in the track of the accelerometer.
-    pub index: usize,
+/// A sample of an accelerometer, corrected, with what was measured beside it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Corrected {
+    /// Its row in the track of the accelerometer.
+    pub row: usize,
     /// ns on the clock of the recording.
     pub time_ns: i64,
-    /// m/s², body axes; not a number where the sensor gave none.
+    /// Specific force, m/s², body axes; not a number where the sensor gave none.
     pub force_mps2: [f64; 3],
-    /// rad/s, body axes.
+    /// Angular rate, rad/s, body axes.
     pub rate_rad_s: Option<[f64; 3]>,
-    /// As measured, T, sensor axes.
+    /// Magnetic flux density as measured, T, sensor axes.
     pub field_t: Option<[f64; 3]>,
-    /// The latest, °C.
+    /// The latest temperature, °C.
     pub temperature_c: Option<f64>,
 }
 
 impl<'a> Tracks<'a> {
     /// The rows in the order of time. A masked row of numbers is out of order, and has no place in the sequence.
-    pub fn rows(self) -> impl Iterator<Item = Row> + use<'a> {
+    pub fn rows(self) -> impl Iterator<Item = Corrected> + use<'a> {
         let Self { correction, force, .. } = self;
         let rate = self.rate.map(|track| {
             // What the device has corrected is in body axes.
@@ -77,44 +78,29 @@ impl<'a> Tracks<'a> {
         let mut field = self.field.map(|track| track.beside::<3>(force));
         let mut temperature = self.temperature.map(|track| track.beside::<1>(force));
         let mut celsius = None;
-        force.times_ns().iter().copied().enumerate().filter_map(move |(index, time_ns)| {
-            let output: [f64; 3] = force.row(index)?.try_into().ok()?;
-            if !force.mask()[index] && output.iter().all(|axis| axis.is_finite()) {
+        force.times_ns().iter().copied().enumerate().filter_map(move |(row, time_ns)| {
+            let output: [f64; 3] = force.row(row)?.try_into().ok()?;
+            if !force.mask()[row] && output.iter().all(|axis| axis.is_finite()) {
                 return None;
             }
-            let now = temperature.as_mut().and_then(|track| track.latest(index, time_ns));
+            let now = temperature.as_mut().and_then(|track| track.latest(row, time_ns));
             celsius = now.map(|[celsius]| celsius).or(celsius);
             let rate_rad_s = rate.as_ref().and_then(|(track, rad_s)| {
-                let value = track.at(index, time_ns)?;
+                let value = track.at(row, time_ns)?;
                 Some(rad_s.map_or(value, |rad_s| {
                     correction.rate(value.map(|axis| axis * rad_s), output, celsius)
                 }))
             });
-            Some(Row {
-                index,
+            Some(Corrected {
+                row,
                 time_ns,
                 force_mps2: correction.sample(output, celsius),
                 rate_rad_s,
-                field_t: field.as_mut().and_then(|track| track.latest(index, time_ns)),
+                field_t: field.as_mut().and_then(|track| track.latest(row, time_ns)),
                 temperature_c: celsius,
             })
         })
     }
-}
-
-/// A corrected sample, body axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Corrected {
-    /// ns on the clock of the recording.
-    pub time_ns: i64,
-    /// Specific force, m/s².
-    pub force_mps2: [f64; 3],
-    /// Angular rate, rad/s.
-    pub rate_rad_s: Option<[f64; 3]>,
-    /// Magnetic flux density, µT: corrected, or as measured where the magnetometer is not calibrated.
-    pub field_ut: Option<[f64; 3]>,
-    /// °C.
-    pub temperature_c: Option<f64>,
 }
 
 /// The tracks of a recording that a calibration corrects.
@@ -192,17 +178,15 @@ impl<'a> CorrectedRecording<'a> {
 
     /// The corrected samples, in the order of the recording.
     pub fn rows(&self) -> impl Iterator<Item = Corrected> {
-        let is_number = |row: &Row| row.force_mps2.iter().all(|axis| axis.is_finite());
-        self.tracks.rows().filter(is_number).map(move |row| Corrected {
-            time_ns: row.time_ns,
-            force_mps2: row.force_mps2,
-            rate_rad_s: row.rate_rad_s,
-            field_ut: row.field_t.map(|tesla| {
-                let measured = tesla.map(|axis| axis * 1e6);
-                self.tracks.correction.field_ut(tesla).unwrap_or(measured)
-            }),
-            temperature_c: row.temperature_c,
-        })
+        let is_number = |row: &Corrected| row.force_mps2.iter().all(|axis| axis.is_finite());
+        self.tracks.rows().filter(is_number)
+    }
+
+    /// Magnetic flux density of a sample, µT: corrected, or as measured where the magnetometer is not calibrated.
+    fn field_ut(&self, sample: &Corrected) -> Option<[f64; 3]> {
+        let tesla = sample.field_t?;
+        let corrected = self.tracks.correction.field_ut(tesla);
+        Some(corrected.unwrap_or(tesla.map(|axis| axis * 1e6)))
     }
 
     /// Whether the magnetic field is corrected: there is a model of the magnetometer, and its axes are known.
@@ -244,7 +228,7 @@ impl<'a> CorrectedRecording<'a> {
         for row in self.rows() {
             (writer.time(Some(row.time_ns))).vector(Some(row.force_mps2));
             if self.tracks.field.is_some() {
-                writer.vector(row.field_ut);
+                writer.vector(self.field_ut(&row));
             }
             if self.tracks.temperature.is_some() {
                 writer.number(row.temperature_c);
@@ -286,7 +270,7 @@ impl<'a> CorrectedRecording<'a> {
                 out.publish(topic, type_name, stamp_ns, stamp_ns, &message)
             };
             publish("/imu/data", "sensor_msgs/Imu", &fields)?;
-            if let Some([x, y, z]) = row.field_ut {
+            if let Some([x, y, z]) = self.field_ut(&row) {
                 let mut fields = [0.0; 12];
                 fields[..3].copy_from_slice(&[x * 1e-6, y * 1e-6, z * 1e-6]);
                 publish("/imu/mag", "sensor_msgs/MagneticField", &fields)?;

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::aids::position::POSITION;
 use wimu_host::inertial::{Aid, Aids};
-use wimu_host::localization::{AnchorPosition, RangeRecording, RangeSample};
+use wimu_host::localization::{AnchorPosition, RangeRecording};
 pub use wimu_host::navigation::distance_m;
 use wimu_host::series::{Flags, Ns};
 use wimu_model::STANDARD_GRAVITY_MPS2;
@@ -88,7 +88,7 @@ impl RangeWalk {
                     + NOISE_M * random.gaussian()
                     + excess_m;
                 let range_m = distance_m(position_m(time_s), *anchor_m) + error_m;
-                ranges.push(RangeSample { time_s, anchor, range_m });
+                ranges.push(Aid::range(time_s, anchor, range_m));
                 hidden.push(is_blocked);
             }
         }

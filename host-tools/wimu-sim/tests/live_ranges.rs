@@ -2,11 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_host::imu::Imu;
-use wimu_host::inertial::aids::Mounting;
+use wimu_host::inertial::aids::{Aid, Mounting};
 use wimu_host::inertial::{Aids, Choice, Live, PathPoint, Profile};
-use wimu_host::localization::{
-    LocalizationChoice, RangePrior, RangeRecording, RangeSample, Ranging, localize,
-};
+use wimu_host::localization::{LocalizationChoice, RangePrior, RangeRecording, Ranging, localize};
 use wimu_host::{Code, Problem, Severity};
 use wimu_sim::motion::Motion as _;
 use wimu_sim::walk::{HALL_M, RangeWalk, Strides, distance_m, sensed};
@@ -35,7 +33,7 @@ fn live(anchors: &RangeRecording, profile: Profile) -> Live {
 fn streamed(
     live: &mut Live,
     motion: &Imu,
-    ranges: &[RangeSample],
+    ranges: &[Aid],
     late_s: impl Fn(usize) -> f64,
 ) -> Vec<PathPoint> {
     let arrivals = ranges.iter().enumerate();
@@ -46,7 +44,7 @@ fn streamed(
     for (k, sample) in motion.samples.v.iter().enumerate() {
         let time_s = motion.samples.t[k].s();
         while let Some((_, range)) = arrivals.next_if(|(arrived_s, _)| *arrived_s <= time_s) {
-            live.aid(range.aid(&Mounting::default()));
+            live.aid(range.mounted(&Mounting::default()));
         }
         live.push(time_s, *sample).unwrap();
         if k % 50 == 49 {
@@ -126,8 +124,8 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
 fn an_anchor_that_was_moved_is_named() {
     let (strides, motion, mut ranges) = walked(5, 0.0);
     for range in &mut ranges.recording.ranges {
-        if range.anchor == 2 && range.time_s > 15.0 {
-            range.range_m += 2.0;
+        if range.source == 2 && range.time_s > 15.0 {
+            range.value[0] += 2.0;
         }
     }
     let mut live = live(&ranges.recording, Profile::Foot);

@@ -88,7 +88,7 @@ impl Imu {
         let mut flags = calibrated.map(|track| track.beside::<1>(force));
         let [_, has_magnetometer] = correction.has();
         for row in tracks.rows() {
-            let flag = flags.as_mut().and_then(|flags| flags.latest(row.index, row.time_ns));
+            let flag = flags.as_mut().and_then(|flags| flags.latest(row.row, row.time_ns));
             // As a magnetometer put it out that is not calibrated, it says nothing of directions.
             let field_ut = row.field_t.and_then(|tesla| match flag.map(|[flag]| flag != 0.0) {
                 None | Some(false) if has_magnetometer => correction.field_ut(tesla),

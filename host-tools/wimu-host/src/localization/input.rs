@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{AnchorPosition, Increment, RangeRecording, RangeSample};
+use super::{AnchorPosition, Increment, RangeRecording};
 use crate::formats::table::{ANGLE, LENGTH, MeasuredColumn, Measurements, TIME};
+use crate::inertial::aids::Aid;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
@@ -54,7 +55,7 @@ pub(super) fn samples(
     anchors: &[AnchorPosition],
     known: &str,
     arrived_s: Option<f64>,
-) -> Result<(Vec<RangeSample>, Vec<Problem>)> {
+) -> Result<(Vec<Aid>, Vec<Problem>)> {
     let time = match arrived_s {
         Some(_) => table.column(&["Time"], TIME),
         None => Some(table.needed(&["Time"], TIME)?),
@@ -87,7 +88,7 @@ pub(super) fn samples(
                 (.., None) => format!("anchor {name} is not in {known}"),
                 (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
                 (Some(time_s), Some(range_m), Some(anchor)) => {
-                    samples.push(RangeSample { time_s, anchor, range_m });
+                    samples.push(Aid::range(time_s, anchor, range_m));
                     continue;
                 }
             };

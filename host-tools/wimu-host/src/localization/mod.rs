@@ -34,31 +34,6 @@ pub struct AnchorPosition {
     pub position_m: [f64; 3],
 }
 
-/// A range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RangeSample {
-    /// Time, s.
-    pub time_s: f64,
-    /// Index of the anchor.
-    pub anchor: usize,
-    /// m, above zero.
-    pub range_m: f64,
-}
-
-impl RangeSample {
-    /// As an aid of a unit.
-    pub fn aid(&self, mounting: &Mounting) -> Aid {
-        Aid {
-            lever_arm_m: mounting.lever_arm_m,
-            ..Aid::range(self.time_s, self.anchor, self.range_m)
-        }
-    }
-
-    fn of(aid: &Aid) -> Self {
-        Self { time_s: aid.time_s, anchor: aid.source, range_m: aid.value[0] }
-    }
-}
-
 /// Wheel odometry over an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Increment {
@@ -81,8 +56,8 @@ pub struct RangeRecording {
     pub anchors: Vec<AnchorPosition>,
     /// Whether the anchors have no height: all is in the plane.
     pub planar: bool,
-    /// In the order of time.
-    pub ranges: Vec<RangeSample>,
+    /// In the order of time, each to an anchor by its index.
+    pub ranges: Vec<Aid>,
     /// Wheel odometry; empty without.
     pub increments: Vec<Increment>,
     /// Samples of an inertial sensor.

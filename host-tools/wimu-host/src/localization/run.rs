@@ -6,7 +6,7 @@ use wimu_nav::state::Role;
 
 use super::model::Model;
 use super::ranging::{AnchorEstimate, Estimate, flatten};
-use super::{Increment, RangeSample, Ranging};
+use super::{Increment, Ranging};
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Carrier, Navigator, PathPoint, StartPose, Step, run};
 use crate::series::Ns;
@@ -62,7 +62,7 @@ pub(super) struct Recording<'a> {
     pub ranging: &'a Ranging,
     /// Antenna of the unit.
     pub mounting: Mounting,
-    pub ranges: &'a [RangeSample],
+    pub ranges: &'a [Aid],
     pub motion: Motion<'a>,
     /// Attitude that levels the inertial sensor at its first sample.
     pub level: Rotation3<f64>,
@@ -88,9 +88,9 @@ impl Recording<'_> {
         let ranging = self.ranging.with(*model);
         let wheels = matches!(self.motion, Motion::Odometry(_));
         let steps = self.steps(model, until_s);
-        let at = |range: &RangeSample| Aid {
+        let at = |range: &Aid| Aid {
             time_s: range.time_s + model.shift_s,
-            ..range.aid(&self.mounting)
+            ..range.mounted(&self.mounting)
         };
         let aids: Vec<Aid> = self.ranges.iter().map(at).collect();
         // Ranges before the first sample are used with it.

@@ -48,8 +48,8 @@ fn files(seed: u64) -> [(&'static str, String); 4] {
     }
     let mut ranges = "Time (s),Anchor,Range (m)\n".to_owned();
     for range in &recording.ranges {
-        let id = &recording.anchors[range.anchor].id;
-        let _ = writeln!(ranges, "{:.1},{id},{:.4}", range.time_s, range.range_m);
+        let id = &recording.anchors[range.source].id;
+        let _ = writeln!(ranges, "{:.1},{id},{:.4}", range.time_s, range.value[0]);
     }
     let strides = Strides::along(&CORNERS_M);
     let sensed = sensed(&strides, RATE_HZ, seed);

@@ -112,7 +112,7 @@ impl Aiding {
             return Ok(Self::Table(aids, Vec::new()));
         };
         let read = RangeRecording::read(from, anchors)?.delayed(mounting.delay_s);
-        let aids = read.ranges.iter().map(|range| range.aid(&mounting)).collect();
+        let aids = read.ranges.iter().map(|range| range.mounted(&mounting)).collect();
         Ok(Self::Table(aids, read.findings))
     }
 

@@ -24,7 +24,7 @@
 use std::io::BufWriter;
 use std::path::Path;
 
-use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_model::{Alignment, STANDARD_GRAVITY_MPS2};
 
 use crate::calibration::{Correction, SensorCalibration};
 use crate::csv::{self, CsvWriter};
@@ -106,25 +106,35 @@ impl<'a> Tracks<'a> {
 /// The tracks of a recording that a calibration corrects.
 #[derive(Debug)]
 pub struct CorrectedRecording<'a> {
-    calibration: &'a SensorCalibration,
+    /// `None`: its output is only brought to SI units.
+    calibration: Option<&'a SensorCalibration>,
     tracks: Tracks<'a>,
     /// What was noticed, without the findings of the recording.
     pub findings: Vec<Problem>,
 }
 
 impl<'a> CorrectedRecording<'a> {
-    /// Chooses the tracks of the sensor with the lowest index, those that the device did not correct first.
+    /// Chooses the tracks of the sensor with the lowest index, those that the device did not correct first. Without a
+    /// calibration their output is brought to SI units.
     ///
     /// # Errors
-    /// `data_refused` without a specific force or valid rows; those of [`SensorCalibration::compile`].
-    pub fn new(calibration: &'a SensorCalibration, recording: &'a Recording) -> Result<Self> {
+    /// `data_refused` without a specific force or valid rows; those of [`SensorCalibration::compile`] or [`Correction::ideal`].
+    pub fn new(
+        calibration: impl Into<Option<&'a SensorCalibration>>,
+        recording: &'a Recording,
+    ) -> Result<Self> {
+        let calibration = calibration.into();
         let at = |error: Problem| error.at(&recording.name);
         let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
+        let correction = match calibration {
+            Some(calibration) => calibration.compile(&force.info),
+            None => Correction::ideal(&force.info),
+        };
         let mut corrected = Self {
             calibration,
             tracks: Tracks {
-                correction: calibration.compile(&force.info).map_err(at)?,
+                correction: correction.map_err(at)?,
                 force,
                 rate: None,
                 field: recording
@@ -134,7 +144,7 @@ impl<'a> CorrectedRecording<'a> {
             },
             findings: Vec::new(),
         };
-        if force.info.corrected {
+        if force.info.corrected && calibration.is_some() {
             let text = format!("`{}` was corrected by the device before", force.info.name);
             let remedy = "use its uncorrected output, or the calibration of this output";
             corrected.findings.push(Code::TrackChosen.warning(text).remedy(remedy));
@@ -169,7 +179,7 @@ impl<'a> CorrectedRecording<'a> {
         if scale.is_none() {
             let text = format!("`{name}` is left out: its unit is not known");
             self.findings.push(Code::Uncalibrated.warning(text));
-        } else if !is_calibrated {
+        } else if !is_calibrated && self.calibration.is_some() {
             self.findings.push(Code::Uncalibrated.note(format!(
                 "`{name}` is only rotated to body axes: the calibration has no gyroscope"
             )));
@@ -191,7 +201,7 @@ impl<'a> CorrectedRecording<'a> {
 
     /// Whether the magnetic field is corrected: there is a model of the magnetometer, and its axes are known.
     fn is_field_calibrated(&self) -> bool {
-        let model = &self.calibration.magnetometer;
+        let model = self.calibration.and_then(|own| own.magnetometer);
         model.is_some_and(|model| model.terms().to_accelerometer.is_some())
     }
 
@@ -250,10 +260,10 @@ impl<'a> CorrectedRecording<'a> {
     fn write_mcap(&self, path: &Path) -> Result<usize> {
         let (output, sink) = OutputFile::create(path)?;
         let mut out = RosFile::new(sink, output.name())?;
-        let gyroscope = self.calibration.gyroscope.and_then(|gyroscope| gyroscope.sd);
+        let gyroscope = self.calibration.and_then(|own| own.gyroscope?.sd);
         let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
-        let rotation = self.calibration.alignment.matrix();
-        let variance = self.calibration.accelerometer.bias_sd_mps2().powi(2);
+        let rotation = self.calibration.map_or(Alignment::IDENTITY, |own| own.alignment).matrix();
+        let variance = self.calibration.map_or(0.0, |own| own.accelerometer.bias_sd_mps2().powi(2));
         let mut count = 0;
         for row in self.rows() {
             let stamp_ns = u64::try_from(row.time_ns).unwrap_or_default();

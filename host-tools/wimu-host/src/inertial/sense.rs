@@ -90,10 +90,14 @@ impl Senses {
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
             senses.uncalibrated = true;
-            senses.findings.push(Code::Uncalibrated.warning(format!(
-                "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: run `wimu calibrate FILE -o CAL.json`, then add --with CAL.json",
-                100.0 * (rest / standard - 1.0)
-            )));
+            let remedy = if recording.covariance.is_some() {
+                "the calibration does not fit: give that of this sensor, or calibrate it again"
+            } else {
+                "run `wimu calibrate FILE -o CAL.json`, then add --with CAL.json"
+            };
+            let percent = 100.0 * (rest / standard - 1.0);
+            let text = format!("at rest it shows {rest:.2} m/s², {percent:+.1} % from gravity");
+            senses.findings.push(Code::Uncalibrated.warning(text).remedy(remedy));
         }
         let face_down = face_down(recording).map(|text| Code::Axes.warning(text));
         senses.findings.extend(face_down);

@@ -266,12 +266,6 @@ codes! {
     CsvMixedUnits = "csv_mixed_units", 2;
     /// A field that is not a finite number.
     CsvBadNumber = "csv_bad_number", 2;
-    /// A line with more or fewer fields than the header.
-    CsvFieldCount = "csv_field_count", 2;
-    /// Time that goes backwards.
-    CsvTimeBackwards = "csv_time_backwards", 2;
-    /// Bytes that are not UTF-8.
-    CsvNotUtf8 = "csv_not_utf8", 2;
     /// No row is left after the filter, or there is none.
     NoRows = "no_rows", 2;
     /// A file that is not an MCAP recording, or damaged beyond use.

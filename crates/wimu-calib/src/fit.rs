@@ -83,7 +83,8 @@ pub(crate) fn fit<'a>(
     let fit = if what.reject {
         searched(&mut problem, squares)?
     } else {
-        squares.and_then(|fit| settled(&mut problem, fit))
+        let weighted = squares.and_then(|fit| weighted(&mut problem, fit));
+        weighted.and_then(|fit| settled(&mut problem, fit))
     };
     let knowledge = match &fit {
         Some(fit) => problem.knowledge(fit),
@@ -166,9 +167,8 @@ fn weighted(problem: &mut Magnitude, mut fit: Fit) -> Option<Fit> {
     Some(fit)
 }
 
-/// Weights the poses, and the priors against the variance of the residuals.
-fn settled(problem: &mut Magnitude, fit: Fit) -> Option<Fit> {
-    let mut fit = weighted(problem, fit)?;
+/// Weighs the priors against the variance of the residuals.
+fn settled(problem: &mut Magnitude, mut fit: Fit) -> Option<Fit> {
     for _ in 0..if problem.has_priors() { PRIOR_ROUNDS } else { 0 } {
         problem.sd_mps2 = libm::sqrt(problem.variance(&fit));
         let at = problem.solve(&fit.at)?;

@@ -166,7 +166,7 @@ fn cap(random: &mut Random, least_up: f64) -> [f64; 3] {
 /// The six sides in turn, placed to 1°.
 fn side(random: &mut Random, side: usize) -> [f64; 3] {
     let mut up = [0, 1, 2].map(|_| 0.017 * random.normal());
-    up[side % 6 / 2] += if side % 2 == 0 { 1.0 } else { -1.0 };
+    up[side % 6 / 2] += if side.is_multiple_of(2) { 1.0 } else { -1.0 };
     unit(up)
 }
 

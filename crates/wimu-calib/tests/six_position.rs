@@ -5,7 +5,7 @@ use crate::common;
 use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;
 use wimu_calib::{
-    Face, Gravity, Method, Orientation, Parameter, Placement, Pose, Reason, Refusal, six_position,
+    Face, Method, Orientation, Parameter, Placement, Pose, Reason, Refusal, six_position,
     six_position_labelled,
 };
 use wimu_model::ErrorModel;

@@ -58,16 +58,14 @@ fn means(ups: &[[f64; 3]]) -> String {
 }
 
 #[test]
-fn only_what_was_fitted_is_printed_with_its_deviation() {
+fn what_was_fitted_is_printed_with_its_deviation() {
     let folder = folder();
     let csv = folder.path().join("means.csv").display().to_string();
     fs::write(&csv, means(&spread(20))).unwrap();
     let mut texts = Transcript::default();
-    for model in ["9", "auto"] {
-        let ran = wimu(&["calibrate", &csv, "--poses", "--model", model]);
-        ran.succeeds();
-        texts.text(format_args!("calibrate --model {model}"), &ran);
-    }
+    let ran = wimu(&["calibrate", &csv, "--poses", "--model", "9"]);
+    ran.succeeds();
+    texts.text("calibrate --model 9", &ran);
     texts.check("calibrate");
 }
 

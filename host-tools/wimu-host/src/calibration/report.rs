@@ -438,7 +438,7 @@ impl CalibrationReport {
         };
         let (poses, gravity) = (counted(self.poses, "static pose"), self.gravity_m_s2);
         let (source, method) = (&self.source, self.method);
-        let text = format!("{source}: {poses}, {method}, g = {gravity}{uncertain} m/s²");
+        let text = format!("{source}: {poses}, {method}, g = {gravity:.5}{uncertain} m/s²");
         let Some(lsb_per_g) = self.sensitivity_lsb_per_g else { return text };
         let source = match self.sensitivity_source {
             Some(Source::Fit) => "mean of the fit",

@@ -442,7 +442,7 @@ impl CalibrationReport {
         let Some(lsb_per_g) = self.sensitivity_lsb_per_g else { return text };
         let source = match self.sensitivity_source {
             Some(Source::Fit) => "mean of the fit",
-            Some(Source::Board) => "the board's",
+            Some(Source::Board) => "as recorded",
             _ => "given",
         };
         format!("{text}, {lsb_per_g:.1} LSB/g ({source})")

@@ -127,6 +127,14 @@ impl<'a> CorrectedRecording<'a> {
         let at = |error: Problem| error.at(&recording.name);
         let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
+        if force.info.timeless {
+            let text = "there are no times, and a recording has some";
+            return Err(at(Code::NoRows.error(text, "give --rate HZ")));
+        }
+        if force.info.origin == Origin::Sensor {
+            // Refuses several sensors of one number.
+            recording.accelerometer(Some(force.info.sensor))?;
+        }
         let correction = match calibration {
             Some(calibration) => calibration.compile(&force.info),
             None => Correction::ideal(&force.info),
@@ -164,9 +172,13 @@ impl<'a> CorrectedRecording<'a> {
     fn not_gravity(&self) -> Option<Problem> {
         let median = median(self.rows().map(|row| norm(row.force_mps2)))?;
         ((median / STANDARD_GRAVITY_MPS2 - 1.0).abs() > NOT_GRAVITY).then(|| {
-            let text = format!("the median magnitude after correction is {median:.2} m/s², and gravity 9.81");
-            let finding = Code::UnitInferred.warning(text);
-            finding.remedy("check the unit, the count at zero (--units LSB@N), and that the calibration is of this sensor at this range")
+            let text = format!("the median magnitude written is {median:.2} m/s², and gravity 9.81");
+            let remedy = if self.calibration.is_some() {
+                "check the unit, the count at zero (--units LSB@N), and that the calibration is of this sensor at this range"
+            } else {
+                "check the unit: --units g, mg or m/s2"
+            };
+            Code::UnitInferred.warning(text).remedy(remedy)
         })
     }
 

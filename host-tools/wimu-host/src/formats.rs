@@ -22,6 +22,7 @@ use wimu_link::LinkRole;
 pub use source::Source;
 pub use summary::{Overview, Summary, TrackSummary};
 
+use crate::calibration::Calibration;
 use crate::csv::Filter;
 use crate::recording::{How, Intake, OF_WIMU, Recording, Sink};
 use crate::{Code, Problem, Result};
@@ -106,6 +107,11 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         },
     };
     refuse_ignored(format, options).map_err(|error| error.at(source.name()))?;
+    if String::from_utf8_lossy(source.start()).contains(Calibration::FAMILY) {
+        let remedy = "give it beside a recording: --with CAL.json";
+        let error = Code::UnknownFormat.error("this is a calibration and no recording", remedy);
+        return Err(error.at(source.name()));
+    }
     let factors = match &options.units {
         Some(units) if format.takes == OF_LOGS => table::si_of(units)?,
         _ => [1.0; 2],

@@ -142,7 +142,9 @@ fn lost_samples_stay_lost() {
 fn even_times_and_a_change_of_rate_are_kept() {
     let even: Vec<f64> = (0..900).map(|k| f64::from(k) * 0.01).collect();
     assert_eq!(sampled_times(&even), None);
-    let changed: Vec<f64> =
-        (0..900).map(|k| f64::from(k) * 0.01 + f64::from((k - 800).max(0)) * 0.01).collect();
-    assert_eq!(sampled_times(&changed), None);
+    for at in [300, 500, 800] {
+        let later = |k: i32| f64::from((k - at).max(0)) * 0.03;
+        let changed: Vec<f64> = (0..900).map(|k| f64::from(k) * 0.01 + later(k)).collect();
+        assert_eq!(sampled_times(&changed), None, "{at}");
+    }
 }

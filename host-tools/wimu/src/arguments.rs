@@ -436,6 +436,15 @@ pub enum Switch {
     Off,
 }
 
+/// The same command line, whose options take negative numbers too: the parser of each says what it allows.
+pub fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let taking = |option: clap::Arg| {
+        let is_value = !option.is_positional() && option.get_action().takes_values();
+        option.allow_negative_numbers(is_value)
+    };
+    command.mut_args(taking).mut_subcommands(with_negative_numbers)
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;

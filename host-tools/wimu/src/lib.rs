@@ -39,7 +39,7 @@ pub fn run(
 ) -> ExitCode {
     let words: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let line = std::iter::once(OsString::from("wimu")).chain(words.iter().cloned());
-    let parsed = Arguments::command().try_get_matches_from(line);
+    let parsed = arguments::with_negative_numbers(Arguments::command()).try_get_matches_from(line);
     let parsed = parsed.and_then(|matches| {
         let arguments = Arguments::from_arg_matches(&matches)?;
         Ok((arguments, matches))
@@ -49,7 +49,7 @@ pub fn run(
         Err(error) => {
             // A line break in an argument is not one of the message.
             let shown = words.iter().map(|word| printable(&word.to_string_lossy()).into_owned());
-            let again = Arguments::command()
+            let again = arguments::with_negative_numbers(Arguments::command())
                 .try_get_matches_from(std::iter::once("wimu".to_owned()).chain(shown));
             return wrong_usage(&again.err().unwrap_or(error), &words, output);
         }

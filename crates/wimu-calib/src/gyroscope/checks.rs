@@ -110,11 +110,11 @@ impl Explanation {
         match *self {
             Self::Unit { factor } => {
                 let text = match factor {
-                    50.0..65.0 => "The angular rates are 57.3 times too large, probably in deg/s. Name that unit in the \
-                                   columns."
+                    50.0..65.0 => "The angular rates are 57.3 times too large, probably in deg/s. Name that unit \
+                                   (`--units deg/s`)."
                         .into(),
-                    0.015..0.02 => "The angular rates are 57.3 times too small, probably in rad/s. Name that unit in the \
-                                    columns."
+                    0.015..0.02 => "The angular rates are 57.3 times too small, probably in rad/s. Name that unit \
+                                    (`--units rad/s`)."
                         .into(),
                     _ => format!(
                         "The angular rates are about {factor} times the rotation. Check the sensitivity and the \

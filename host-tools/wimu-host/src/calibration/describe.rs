@@ -37,7 +37,7 @@ impl Difference {
     /// Of what the device holds (`None`: uncalibrated) and what would be written.
     pub fn of(before: Option<&ParameterSet>, after: &ParameterSet) -> Self {
         let mut found = Self {
-            result: "the device is uncalibrated".to_owned(),
+            result: "the device was uncalibrated before".to_owned(),
             changed: Vec::new(),
             notes: Vec::new(),
         };

@@ -6,6 +6,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::{Calibration, SensorCalibration, Source, parameter_id};
+use crate::csv::AccelerationUnit;
 use wimu_model::{
     Alignment, Corrector, CorrectorParts, GyroscopeParameters, Matrix3, ParameterSet,
     STANDARD_GRAVITY_MPS2, Sensitivity,
@@ -195,6 +196,14 @@ impl CalibrationExport {
         (terms.bias_mps2, [0, 1, 2].map(|i| inverse[i][i]))
     }
 
+    /// Unit of the gyroscope's output and its rad/s, from those of a count: beside accelerations in m/s² it is SI, too.
+    fn of_rate(&self, rad_s_per_lsb: f64) -> (&'static str, f64) {
+        match self.stored.accelerometer.unit {
+            AccelerationUnit::Lsb => ("LSB", rad_s_per_lsb),
+            AccelerationUnit::Mps2 => ("rad/s", 1.0),
+        }
+    }
+
     /// The equations of the calibration, as lines of text.
     fn convention(&self) -> String {
         let (unit, scale) = match self.stored.accelerometer.sensitivity_lsb_per_g {
@@ -211,8 +220,11 @@ impl CalibrationExport {
              The bias is subtracted before the inverse of A is applied; R rotates from sensor to body axes."
         );
         if self.stored.gyroscope.is_some() {
-            text += "\nAngular rate w, rad/s, body axes, of the gyroscope's output in LSB, y = output times the nominal scale:\n\
-                     w = R A(T)^-1 (y - b(T) - G u), with the gyroscope's own A, b, T0 and its g-sensitivity G.";
+            let (unit, _) = self.of_rate(1.0);
+            text += &format!(
+                "\nAngular rate w, rad/s, body axes, of the gyroscope's output in {unit}, y = output times the nominal scale:\n\
+                     w = R A(T)^-1 (y - b(T) - G u), with the gyroscope's own A, b, T0 and its g-sensitivity G."
+            );
         }
         text
     }
@@ -265,10 +277,12 @@ impl CalibrationExport {
             ("r", matrix(self.stored.alignment.matrix())),
         ];
         if let Some(gyroscope) = &self.stored.gyroscope {
+            let (unit, rad_s_per_unit) = self.of_rate(gyroscope.rad_s_per_lsb);
             let terms = gyroscope.model.terms();
             let t = &terms.temperature;
             values.extend([
-                ("wscale", format!("{:?}", gyroscope.rad_s_per_lsb)),
+                ("wunit", unit.to_owned()),
+                ("wscale", format!("{rad_s_per_unit:?}")),
                 ("wt0", format!("{:?}", t.reference_c)),
                 ("wb0", vector(terms.bias_rad_s)),
                 ("wb1", vector(t.bias_rad_s_per_k)),

@@ -15,7 +15,8 @@ use crate::csv::AccelerationUnit;
 use crate::{Code, OutputFile, Problem, Result};
 
 /// How to make a file that can be read.
-const REMEDY: &str = "undo the change, or make it with `wimu calibrate … -o CAL.json`";
+const REMEDY: &str =
+    "give the file that `wimu calibrate … -o CAL.json` wrote; if it was edited, undo the change";
 
 /// A calibration, as CAL.json holds it: every value once, and within its bounds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -123,6 +124,8 @@ fn checked<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<SensorCalibration>
 impl Calibration {
     /// Name of the JSON object.
     pub const SCHEMA: &'static str = "wimu.calibration/2";
+    /// Begin of the names of all versions.
+    pub(crate) const FAMILY: &'static str = "\"wimu.calibration/";
 
     /// Of one sensor.
     pub fn of(sensor: SensorCalibration) -> Self {
@@ -232,7 +235,7 @@ impl Calibration {
         if schema == Self::SCHEMA {
             return serde_json::from_str(text).map_err(bad);
         }
-        let remedy = if schema.starts_with("wimu.calibration/") {
+        let remedy = if schema.starts_with(Self::FAMILY.trim_start_matches('"')) {
             "update wimu on this computer"
         } else {
             REMEDY

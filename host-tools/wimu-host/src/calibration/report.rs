@@ -438,11 +438,11 @@ impl CalibrationReport {
         };
         let (poses, gravity) = (counted(self.poses, "static pose"), self.gravity_m_s2);
         let (source, method) = (&self.source, self.method);
-        let text = format!("{source}: {poses}, {method}, g = {gravity}{uncertain} m/s²");
+        let text = format!("{source}: {poses}, {method}, g = {gravity:.5}{uncertain} m/s²");
         let Some(lsb_per_g) = self.sensitivity_lsb_per_g else { return text };
         let source = match self.sensitivity_source {
             Some(Source::Fit) => "mean of the fit",
-            Some(Source::Board) => "the board's",
+            Some(Source::Board) => "as recorded",
             _ => "given",
         };
         format!("{text}, {lsb_per_g:.1} LSB/g ({source})")

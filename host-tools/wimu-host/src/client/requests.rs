@@ -17,6 +17,8 @@ const SESSIONS: usize = 4;
 /// Allowed ratio of a calibration's sensitivity to the sensor's nominal one: covers the tolerance of a sensor, excludes
 /// another range.
 const SENSITIVITY_RATIO: RangeInclusive<f64> = 0.8..=1.25;
+/// The same of a calibration that does not name its sensor, whose sensitivity may be a guess: nominal ones are equal.
+const SAME_SENSITIVITY: RangeInclusive<f64> = 0.999..=1.001;
 /// Longest wait for an epoch: a device that samples sends one a second.
 const EPOCH_PATIENCE: Duration = Duration::from_secs(3);
 
@@ -487,15 +489,19 @@ impl<T: Transport> Client<T> {
                 again,
             ));
         }
+        let allowed = if set.sensor.is_some() { SENSITIVITY_RATIO } else { SAME_SENSITIVITY };
         if let Some((lsb_per_g, _)) = self.nominal
             && self.hello.sensitivity_known
-            && !SENSITIVITY_RATIO.contains(&(set.sensitivity.lsb_per_g() / lsb_per_g))
+            && !allowed.contains(&(set.sensitivity.lsb_per_g() / lsb_per_g))
         {
             let why = format!(
-                "the parameters are for {} LSB/g, the sensor has {lsb_per_g} LSB/g",
+                "the parameters are for {:.1} LSB/g, the sensor has {lsb_per_g} LSB/g",
                 set.sensitivity.lsb_per_g()
             );
-            return Err(refused(why, again));
+            let remedy = format!(
+                "set the range at which it was calibrated, or calibrate at this one; a file of this sensor: --sensitivity {lsb_per_g}"
+            );
+            return Err(refused(why, &remedy));
         }
         let has = |part| self.hello.capabilities.contains(part);
         let has_gyroscope = has(Capabilities::GYROSCOPE);

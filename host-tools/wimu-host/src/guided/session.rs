@@ -364,7 +364,7 @@ impl Guided {
             (0, _) => "no pose was captured".to_owned(),
             (_, Some(error)) => format!("the poses are not saved: {error}"),
             (count, None) if self.saves => format!(
-                "{} saved in {}; --resume continues there",
+                "{} saved in {}; --resume continues there, and so does Resume on the page",
                 crate::plural::counted(count, "pose"),
                 self.poses_file.display()
             ),

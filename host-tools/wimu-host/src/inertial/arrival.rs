@@ -1,6 +1,5 @@
 //! Times of sampling from times of arrival.
 
-use super::unit::median_step_s;
 use crate::stats::median;
 
 /// Steps that differ from the median by more than this fraction are uneven, ...
@@ -22,9 +21,13 @@ pub(crate) const TIME_SD_S: f64 = 1e-3;
 /// A pause after which the delay does not fall again is a loss of
 /// samples, and both sides of it are treated apart.
 pub fn sampled_times(times_s: &[f64]) -> Option<Vec<f64>> {
-    let usual = median_step_s(times_s);
-    let uneven = |w: &&[f64]| (w[1] - w[0] - usual).abs() > UNEVEN * usual;
-    let count = times_s.windows(2).filter(uneven).count();
+    let steps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
+    // Against the steps nearby: a rate that changes is even before and after.
+    let uneven = |steps: &[f64]| {
+        let usual = median(steps.iter().copied()).unwrap_or_default();
+        steps.iter().filter(|step| (*step - usual).abs() > UNEVEN * usual).count()
+    };
+    let count: usize = steps.chunks(PERIOD_SAMPLES).map(uneven).sum();
     if times_s.len() <= 2 * PERIOD_SAMPLES
         || (count as f64) < UNEVEN_FRACTION * times_s.len() as f64
     {

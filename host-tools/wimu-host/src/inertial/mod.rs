@@ -189,6 +189,7 @@ impl Default for Choice {
 /// `data_refused`: nothing to align with, accelerations that do not show gravity, or are no numbers or beyond the full
 /// scale for the most part, a unit of the angular rate that cannot be, no valid position.
 pub fn navigate(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
+    choice.rests_within(&recording.times_s()).map_err(|error| error.at(&recording.name))?;
     let mut path = match Holes::of(recording)? {
         None => followed(recording, choice)?,
         Some(holes) => {
@@ -208,6 +209,18 @@ pub fn navigate(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
     compare(&mut path, &truth, &moving);
     path.source.clone_from(&recording.name);
     Ok(path.assumed(choice))
+}
+
+impl Choice {
+    /// Refuses rests that a recording with these times does not have.
+    fn rests_within(&self, times_s: &[f64]) -> Result<()> {
+        let (Some(rests), [from, .., to]) = (&self.rests_s, times_s) else { return Ok(()) };
+        let is_outside = |rest: &&RangeInclusive<f64>| rest.end() < from || rest.start() > to;
+        let Some(rest) = rests.iter().find(is_outside) else { return Ok(()) };
+        let text = format!("there is no rest from {} to {} s", rest.start(), rest.end());
+        let remedy = format!("give times of the recording, {from:.2} to {to:.2} s");
+        Err(Code::Usage.error(text, remedy))
+    }
 }
 
 /// What to do where no position is valid.

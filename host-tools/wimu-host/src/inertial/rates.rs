@@ -36,7 +36,8 @@ pub(super) fn checked(recording: &Imu) -> Result<Option<Disagreement>> {
     let rates = recording.samples.v.iter().filter_map(|s| s.rate_rad_s);
     let fastest = rates.map(|rate| rate.norm()).fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
-        let remedy = format!("if it is in {unit}, name the columns `Gyroscope X ({unit})`, …");
+        let remedy =
+            format!("if it is in {unit}, give --units {unit} (with an acceleration g,{unit})");
         Err(Code::DataRefused.error(message, remedy).at(&recording.name))
     };
     if fastest > FASTEST_RAD_S {

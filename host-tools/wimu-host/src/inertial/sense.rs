@@ -236,9 +236,9 @@ fn gravity(recording: &Imu) -> Result<Option<f64>> {
     let still: Vec<f64> = recording.still_seconds().into_iter().map(|(_, mean)| mean).collect();
     let refused = |seen: f64| {
         let remedy = if (seen - 1.0).abs() < NEAR {
-            "1 at rest is g: name the columns `Accelerometer X (g)`, …"
+            "1 at rest is g: give --units g (with a gyroscope in degrees g,deg/s)"
         } else {
-            "see that the unit in the columns' names is right, and that the accelerometer works"
+            "see that the unit is right (--units), and that the accelerometer works"
         };
         Err(Code::DataRefused
             .error(

@@ -1,6 +1,6 @@
 //! Relations between options that depend on a value or on the kind of input; clap declares all others.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory};
@@ -128,6 +128,9 @@ const NEED: [(&str, &[&str]); 10] = [
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.
 const BESIDE_A_BOARD: [&str; 3] = ["zupt", "within", "profile"];
 
+/// Ends of file names for which people expect formats that no command writes.
+const OTHER_FORMATS: [&str; 7] = ["bag", "db3", "mat", "pdf", "png", "xls", "xlsx"];
+
 /// Arguments that name files to read.
 const INPUT_FILES: [&str; 10] = [
     "input", "more", "boards", "other", "fixes", "ranges", "odometry", "camera", "noise", "replay",
@@ -192,6 +195,7 @@ fn not_over_input(name: &str, matches: &ArgMatches, parsed: &Command) -> Result<
     if let Command::Calibrate(calibrate) = parsed {
         inputs.extend(Setup::read(&calibrate.setup).ok().and_then(|setup| setup.geometry));
     }
+    outputs.iter().try_for_each(|output| is_writable(name, output))?;
     let real = |path: &PathBuf| path.canonicalize().ok();
     let outputs: Vec<PathBuf> = outputs.iter().filter_map(real).collect();
     match inputs.iter().find(|input| real(input).is_some_and(|input| outputs.contains(&input))) {
@@ -201,6 +205,35 @@ fn not_over_input(name: &str, matches: &ArgMatches, parsed: &Command) -> Result<
             Err(usage(message, "name another output file").at(input.display().to_string()))
         }
     }
+}
+
+/// Refuses an output that is a folder, lies in none, or has a name that says another format.
+fn is_writable(command: &str, output: &Path) -> Result<()> {
+    let refused = |message: String, remedy: &str| {
+        Err(usage(message, remedy).at(output.display().to_string()))
+    };
+    if output.is_dir() {
+        return refused("the output is a folder".to_owned(), "name a file in it");
+    }
+    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        let message = format!("there is no folder {}", folder.display());
+        return refused(message, "create it, or name another file");
+    }
+    let Some(extension) = output.extension().map(|text| text.to_string_lossy().to_lowercase())
+    else {
+        return Ok(());
+    };
+    if command == "record" && extension != "mcap" {
+        return refused("a recording is an MCAP file".to_owned(), "name it FILE.mcap");
+    }
+    if OTHER_FORMATS.contains(&&*extension) {
+        return refused(
+            format!(".{extension} is not written"),
+            "name it .csv, .mcap, .html or .json",
+        );
+    }
+    Ok(())
 }
 
 /// An option or a key of the setup, as it is given.
@@ -223,7 +256,11 @@ fn of_navigation(given: &[&str], has_boards: bool) -> Result<()> {
         if !others.iter().any(|other| given.contains(other)) {
             let needed: Vec<String> = others.iter().map(|other| written(other)).collect();
             let message = format!("{} needs {}", written(one), needed.join(" or "));
-            return Err(usage(message, "add it, or leave both out"));
+            let remedy = match *one {
+                "ranges" | "range_errors" | "survey_m" => "add --setup anchors=ANCHORS.csv",
+                _ => "add it, or leave it out",
+            };
+            return Err(usage(message, remedy));
         }
     }
     let several = ["geometry", "full_scales_g", "relative"];

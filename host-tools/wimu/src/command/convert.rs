@@ -47,6 +47,9 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
         return calibration(arguments, program, output);
     }
     let Some(to) = arguments.output.as_deref() else {
+        if Calibration::read(&arguments.input).is_ok() {
+            return Err(no_recording(arguments));
+        }
         return Err(usage("no output file is given", "name one with -o FILE"));
     };
     if arguments.to == Some(Target::Device) {
@@ -63,9 +66,7 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
         (_, true) if is_mcap(to) => topics(arguments, model.as_ref(), to, output),
         (_, true) => stream(arguments, model.as_ref(), to, output),
         (None, false) if Calibration::read(&arguments.input).is_ok() => {
-            let remedy = "choose its form with --to; `wimu convert --help` lists them";
-            let input = arguments.input.display().to_string();
-            Err(usage("this is a calibration and no recording", remedy).at(input))
+            Err(no_recording(arguments))
         }
         (None, false) => corrected(arguments, None, to, output),
         (Some(file), false) => {
@@ -73,6 +74,13 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
             Err(usage(message, "give --with CAL.json").at(file.display().to_string()))
         }
     }
+}
+
+/// The error of a calibration without a form.
+fn no_recording(arguments: &Convert) -> Problem {
+    let remedy = "choose its form with --to; `wimu convert --help` lists them";
+    let input = arguments.input.display().to_string();
+    usage("this is a calibration and no recording", remedy).at(input)
 }
 
 fn is_mcap(path: &Path) -> bool {

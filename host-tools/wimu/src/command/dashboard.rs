@@ -225,7 +225,7 @@ impl Desk {
                     }
                     Err(error) => {
                         let error: Problem = error;
-                        let value = json!({"link": name, "error": error.to_string()});
+                        let value = json!({"link": name, "error": error.text});
                         desk.hub.publish(&topic, &value);
                         thread::sleep(TRY_EVERY);
                     }

@@ -52,7 +52,7 @@ static inline void wimu_correct(const double output[3], double temperature_c, do
 }
 @gyroscope{
 
-/* Angular rate, rad/s, body axes, of the gyroscope's output in LSB, with the specific force of wimu_correct. */
+/* Angular rate, rad/s, body axes, of the gyroscope's output in @wunit@, with the specific force of wimu_correct. */
 static inline void wimu_correct_rate(const double output[3], const double force[3], double temperature_c, double rate[3])
 {
     static const double b0[3] = @wb0@, b1[3] = @wb1@, s1[3] = @ws1@;

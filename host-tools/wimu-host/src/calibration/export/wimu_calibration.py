@@ -35,7 +35,7 @@ def correct(output, temperature_c=REFERENCE_C):
 
 
 def correct_rate(output, force, temperature_c=RATE_REFERENCE_C):
-    """Angular rate, rad/s, body axes, of outputs in LSB of shape (3,) or (n, 3), with the specific force of correct."""
+    """Angular rate, rad/s, body axes, of outputs in @wunit@ of shape (3,) or (n, 3), with the specific force of correct."""
     dt = temperature_c - RATE_REFERENCE_C
     y = np.asarray(output, float) * RATE_INPUT_TO_RAD_S - (RATE_B0 + RATE_B1 * dt) - np.asarray(force) @ R @ G.T
     return np.linalg.solve(RATE_A * (1 + np.diag(RATE_S1 * dt)), y.T).T @ R.T

@@ -49,7 +49,7 @@ pub mod integers {
 @}
 @gyroscope{
 
-/// Angular rate, rad/s, body axes, of the gyroscope's output in LSB, with the specific force of [`correct`].
+/// Angular rate, rad/s, body axes, of the gyroscope's output in @wunit@, with the specific force of [`correct`].
 pub fn correct_rate(output: [f64; 3], force: [f64; 3], temperature_c: Option<f64>) -> [f64; 3] {
     const B0: [f64; 3] = @wb0@;
     const B1: [f64; 3] = @wb1@;

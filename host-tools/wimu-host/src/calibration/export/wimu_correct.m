@@ -19,7 +19,7 @@ z = ((a .* (1 + diag(s1 * dt))) \ (output * input_to_mps2 - (b0 + (b1 + b2 * dt)
 z = z - q .* z .* z;
 force = z * r';
 @gyroscope{
-% rate_output: n-by-3, LSB; rate: n-by-3, rad/s, body axes.
+% rate_output: n-by-3, @wunit@; rate: n-by-3, rad/s, body axes.
 rate = [];
 if nargin < 3, return, end
 dt = temperature_c - @wt0@;

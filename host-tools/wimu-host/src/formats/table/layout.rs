@@ -114,7 +114,7 @@ pub fn of(table: &Table, quantity: Option<Quantity>, options: &ReadOptions) -> R
     let force = (0..names.len()).find(of(Quantity::SpecificForce));
     if let Some(column) = force.filter(|_| !layout.groups.iter().any(Group::is_acceleration)) {
         let remedy =
-            "write one of LSB, g, mg, m/s² in parentheses, or give --columns \"x=COLUMN:g,…\"";
+            "write one of LSB, g, mg, m/s² in parentheses, or give --units g (mg, m/s2, LSB)";
         let error = Code::CsvUnknownUnit.error("its unit is unknown", remedy);
         return Err(error.at(&names[column]));
     }

@@ -217,7 +217,7 @@ pub fn choose(
         }
         (None, None) => Code::Rate
             .warning(text)
-            .remedy("give --rate HZ, or name the column of times: --columns \"t=COLUMN:ms,…\""),
+            .remedy("give --rate HZ, or name the column of times in the header, `Time (ms)`"),
     };
     findings.push(finding);
     let period_ns = 1e9 / rate;
@@ -341,7 +341,7 @@ fn unit_of(name: &str, survey: &Survey, column: usize, findings: &mut Vec<Proble
         text += &format!("; {other} would be {:.4} Hz", rate_hz(step, ns));
     }
     let remedy =
-        "if they are not, give --columns \"t=COLUMN:s,…\" with one of s, ms, us, ns, min, h";
+        "if they are not, name the unit in the header, such as `Time (ms)`, or give --rate HZ";
     let finding = if unknown.is_some() || other.is_some() || !RATES_HZ.contains(&rate) {
         Code::UnitInferred.warning(text)
     } else {

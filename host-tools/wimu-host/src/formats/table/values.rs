@@ -100,7 +100,7 @@ pub fn conversion(
         }
         None if group.quantity == Quantity::AngularRate => {
             let text = format!("`{}` is an angular rate without a unit", group.name);
-            let remedy = "it is left out; name the unit: --columns \"…,gx=COLUMN:deg/s,…\"";
+            let remedy = "it is left out; name the unit: --units deg/s or rad/s";
             let finding = Code::UnitInferred.warning(text).remedy(remedy);
             findings.push(finding.of_sensor(group.sensor));
             conversion.is_left_out = true;

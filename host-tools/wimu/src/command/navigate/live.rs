@@ -10,7 +10,7 @@ use wimu_host::monitor::{Reading, Readings};
 use wimu_host::{Code, Input, Problem, Result};
 
 use super::inertial::{aided_choice, choice, mounting, present};
-use super::shown::{Shown, WAIT, corrected_there, writable};
+use super::shown::{Shown, WAIT, corrected_there};
 use crate::arguments::{Aids as Options, Navigate};
 use crate::command::{connect, listen_until};
 use crate::output::{Output, usage};
@@ -41,7 +41,6 @@ fn norm(vector: [f64; 3]) -> f64 {
 pub fn run(arguments: &Navigate, link: &str, output: &Output) -> Result<()> {
     corrected_there(arguments, link)?;
     let aids = &arguments.aids;
-    writable(arguments)?;
     let mut choice = choice(arguments)?;
     let mut fixes = Aiding::of(aids, &mut choice)?;
     let mut client = connect(link)?;

@@ -92,15 +92,3 @@ pub fn corrected_there(arguments: &Navigate, link: &str) -> Result<()> {
         format!("write the calibration to the board: `wimu device params push {link} CAL.json`");
     Err(usage("a board corrects its samples itself", remedy))
 }
-
-/// Refuses outputs in folders that do not exist, before hours of measuring.
-pub fn writable(arguments: &Navigate) -> Result<()> {
-    for file in [&arguments.output, &arguments.report].into_iter().flatten() {
-        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
-        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-            let message = format!("there is no folder {}", folder.display());
-            return Err(usage(message, "create it, or name another file"));
-        }
-    }
-    Ok(())
-}

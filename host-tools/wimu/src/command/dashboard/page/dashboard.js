@@ -84,7 +84,7 @@ const request = (what, board) => server.ask(what, board).catch((error) => { say(
 const act = (what, board) => request(what, board).then((value) => { if (typeof value === "string") say(value); return value; }, () => {});
 
 const boards = new Map(), files = new Map(), links = new Map();
-let listed = [], paused = false;
+let listed = [], paused = false, opened = "";
 
 const topics = {
   about: (about) => { document.title = `wimu dashboard ${about.version}`; topics.folder = about.folder; },
@@ -95,6 +95,7 @@ const topics = {
   },
   link: (link, name) => { links.set(name, link); drawView(true); },
   file: (file, name) => {
+    if (!files.has(name)) opened = name;
     files.set(name, file);
     if (!boards.size && !links.size && view === "live") choose("files");
     drawView(true);
@@ -282,7 +283,8 @@ function drawSphere(canvas, poses, up, next) {
   const { g, colour, w, h } = canvasOf(canvas), scale = Math.min(w, h) / 2.35;
   const at = (v) => { const [x, y, near] = seen(v); return [w / 2 + scale * x, h / 2 - scale * y, near]; };
   g.fillStyle = colour("mark");
-  g.strokeStyle = colour("line");
+  g.strokeStyle = colour("soft");
+  g.lineWidth = 0.6;
   g.beginPath(); g.arc(w / 2, h / 2, scale, 0, 7); g.fill(); g.stroke();
   for (const circle of [(a) => [Math.cos(a), Math.sin(a), 0], (a) => [0, Math.cos(a), Math.sin(a)], (a) => [Math.cos(a), 0, Math.sin(a)]]) {
     g.beginPath();
@@ -363,7 +365,7 @@ function spectrum(ring, channel) {
   }
   // The mean square of the window is 3/8; both halves of the spectrum are in one.
   const density = (k) => Math.sqrt((sum[k] * 2 * period) / (0.375 * n * windows)), bins = [...sum.keys()].slice(1);
-  return windows ? { x: bins.map((k) => k / (n * period)), y: bins.map(density), rate: 1 / period } : null;
+  return windows ? { x: bins.map((k) => k / (n * period)), y: bins.map(density), rate: 1 / period, seconds: period * all } : null;
 }
 
 // ---- Views. Each makes the card of a board, whose `draw` brings it up to date.
@@ -407,7 +409,7 @@ function liveCard(board) {
     const now = performance.now(), k = +of.value, found = of.value !== "" && now - computed > 500 ? spectrum(board.ring, k) : null;
     if (!found) return;
     computed = now;
-    const chart = { title: `Spectrum of ${channels[k]}, sampled at ${significant(found.rate)} Hz`, x: "frequency, Hz", y: k < 4 ? "m/s²/√Hz" : "rad/s/√Hz", logY: true, series: [{ name: channels[k], style: "line", ...found }] };
+    const chart = { title: `Spectrum of ${channels[k]}, latest ${Math.round(found.seconds)} s at ${Math.round(found.rate)} Hz`, x: "frequency, Hz", y: k < 4 ? "m/s²/√Hz" : "rad/s/√Hz", logY: true, series: [{ name: channels[k], style: "line", ...found }] };
     vibration ??= plotIn(plots, chart);
     vibration.set(chart);
   };
@@ -505,7 +507,7 @@ function spaceCard(board) {
     const aid = ([name, a]) => (a.used + a.rejected + a.late ? `; ${name}: ${a.used} used, ${a.rejected + a.late} not` : "");
     text(figures, p ? `position E ${signed(p[0], 2)}  N ${signed(p[1], 2)}  U ${signed(p[2], 2)} m` + (n
       ? ` ± ${significant(Math.hypot(...n.sigma_m))} m, ${n.resting ? "at rest" : fixed(n.speed_m_s, 2) + " m/s"}${n.valid ? "" : ", not valid"}${Object.entries(n.aids).map(aid).join("")}`
-      : ", as the device computes it") : state.navigating ? "the first position needs three seconds" : "");
+      : `, as the device computes it${state.line.valid ? "" : ", not valid"}, without σ; Navigate computes it here, with σ`) : state.navigating ? "the first position needs three seconds" : "");
     hint.hidden = !!board.path;
     if (board.path && board.path !== shown) {
       shown = board.path;
@@ -575,7 +577,7 @@ function calibrateCard(board) {
     el("div", { className: "row" }, el("button", { textContent: "Calibrate", className: "main", onclick: () => board.ask({ do: "calibrate" }) }),
       el("button", { textContent: "With each of six sides up", onclick: () => board.ask({ do: "calibrate", six: true }) })));
   const picture = (caption) => { const canvas = el("canvas", { role: "img", ariaLabel: caption }); return [canvas, el("figure", {}, el("h3", { textContent: caption }), canvas)]; };
-  const [[next, nextFigure], [now, nowFigure], [sphere, sphereFigure]] = ["next: hold it like this", "now", "poses"].map(picture);
+  const [[next, nextFigure], [now, nowFigure], [sphere, sphereFigure]] = ["next: hold it like this", "now", "poses: green, next: ring, now: blue"].map(picture);
   const count = el("h3"), instruction = el("p", { className: "instruction" }), message = el("p", { className: "soft", ariaLive: "polite" });
   const bar = (name) => { const progress = el("progress", { max: 1, ariaLabel: name }), words = el("span"); return { progress, words, element: el("div", { className: "bar" }, progress, words) }; };
   const [tilt, hold] = [bar("Tilt towards the next pose"), bar("Time at rest")];
@@ -610,7 +612,7 @@ function calibrateCard(board) {
     } else if (view.up) drawBody(now, (v) => raised(v, view.up), names);
     drawSphere(sphere, view.poses, view.up, view.next);
     sphere.setAttribute("aria-label", `${view.poses.length} poses captured; green: captured, ring: next, blue: now`);
-    text(count, `pose ${view.poses.length} of ${view.wanted}`);
+    text(count, `${view.poses.length} of ${view.wanted} poses captured`);
     text(instruction, view.instruction);
     text(message, view.lost ? `link lost (${view.lost}): poses are kept` : view.message);
     if (view.up && view.next) {
@@ -661,7 +663,7 @@ function parametersCard(board) {
     const p = board.parameters;
     if (!p) return;
     held.rows(p.calibrated ? p.rows : [["the board is uncalibrated", ""]]);
-    text(remarks, p.remarks.join(" "));
+    text(remarks, p.remarks.join(" · "));
   };
   return { element: el("article", {}, top.element, held.element, remarks, el("h3", { textContent: "Another calibration" }),
     el("div", { className: "row" }, choose, compare, push), verdict, change.element), draw };
@@ -699,7 +701,8 @@ function settingsCard(board) {
     const changes = rows.filter((row) => row.get() !== String(row.of(held)));
     if (!changes.length) return text(result, "nothing has changed");
     const found = await board.ask({ do: "settings", options: changes.map(({ name, link, get }) => `--${name}=${link ? link + "=" : ""}${get()}`) });
-    text(result, found ? "written: the board holds what is shown" : "not written");
+    const rests = board.parameters?.calibrated && changes.some((row) => row.name === "range");
+    text(result, found ? `written: the board holds what is shown${rests ? ". Its calibration is for the range before: it runs uncalibrated until that is set again" : ""}` : "not written");
     show(found);
   };
   const draw = () => {
@@ -725,7 +728,15 @@ function fileCard(name) {
     file.charts.forEach((chart, k) => { (drawn[k] ??= plotIn(plots, chart)).set(chart); });
     findings.replaceChildren(...file.findings.map((one) => el("li", { textContent: one })));
   };
-  return { element: el("article", {}, title, about, plots, findings), draw };
+  const close = () => {
+    sections.files.cards = sections.files.cards.filter((card) => card !== made);
+    files.delete(name);
+    fileCards.delete(name);
+    made.element.remove();
+  };
+  const top = el("div", { className: "head" }, title, el("button", { textContent: "Close", onclick: close }));
+  const made = { element: el("article", {}, top, about, plots, findings), draw };
+  return made;
 }
 
 // Sends a file in pieces, which the server writes to its folder and opens.
@@ -787,6 +798,8 @@ function drawView(all = false) {
       sections.files.cards ??= [fileList()];
       for (const name of files.keys()) if (!fileCards.has(name)) { const card = fileCard(name); fileCards.set(name, card); sections.files.cards.push(card); }
       for (const card of sections.files.cards) { if (!card.element.isConnected) list.append(card.element); card.draw(); }
+      fileCards.get(opened)?.element.scrollIntoView({ block: "start" });
+      opened = "";
       return;
     }
     for (const board of boards.values()) {
@@ -802,6 +815,7 @@ function drawView(all = false) {
     if (empty.key !== key) empty.querySelector("ul").replaceChildren(...waits.map(({ link, error }) => el("li", {}, error ? `${link}: ${error} ` : `${link}: connecting … `, el("button", { textContent: "Give up", onclick: () => act({ do: "forget", link }) }))));
     empty.key = key;
     empty.querySelector("p").hidden = waits.length > 0;
+    empty.classList.toggle("few", boards.size > 0);
   });
 }
 

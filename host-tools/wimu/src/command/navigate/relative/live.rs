@@ -11,7 +11,7 @@ use wimu_host::relative::{Body, LiveRelative, RelativeChoice, RelativePoint};
 use wimu_host::{Code, LinkUrl, Problem, Result};
 
 use super::super::live::sample;
-use super::super::shown::{Shown, WAIT, corrected_there, writable};
+use super::super::shown::{Shown, WAIT, corrected_there};
 use super::present;
 use crate::arguments::Navigate;
 use crate::command::{Connection, connect, interrupted, listen_until};
@@ -56,7 +56,6 @@ pub fn run(
 ) -> Result<()> {
     let names = links.map(|link| link.to_string());
     corrected_there(arguments, &names[0])?;
-    writable(arguments)?;
     let clients = [connect(&names[0])?, connect(&names[1])?];
     if clients[0].hello().device_id == clients[1].hello().device_id {
         let remedy = "give a LINK of each of two boards";

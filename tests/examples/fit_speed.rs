@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use common::{DrawModel as _, Random, pose, twelve};
 use imu_calib::estimate::{AccelParametrization, StaticPose, estimate_accel_intrinsics};
-use wimu_calib::{Gravity, Model, MultiPosition, Pose, multi_position, multi_position_with};
+use wimu_calib::{Gravity, MultiPosition, Pose, multi_position};
 use wimu_testkit::figure;
 
 const G: f64 = 9.80665;
@@ -49,10 +49,13 @@ fn main() {
 
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let robust = MultiPosition { reject: true, ..MultiPosition::default() };
-    let mut ours =
-        || multi_position(black_box(&poses), gravity, Model::Full9).expect("an answer").rms_mps2;
+    let mut ours = || {
+        multi_position(black_box(&poses), gravity, MultiPosition::default())
+            .expect("an answer")
+            .rms_mps2
+    };
     let mut ours_robust =
-        || multi_position_with(black_box(&poses), gravity, robust).expect("an answer").rms_mps2;
+        || multi_position(black_box(&poses), gravity, robust).expect("an answer").rms_mps2;
     let mut other = || {
         estimate_accel_intrinsics(
             black_box(&theirs),

@@ -25,8 +25,6 @@ pub struct Combined {
     /// mean and that between sessions, including the uncertainty of both and of gravity. 1.96
     /// standard deviations are a 95 % interval.
     pub covariance: Covariance,
-    /// Standard deviation within a session, rms over the sessions, of each [`Group`].
-    pub within_sd: [f64; 3],
     /// Standard deviation between sessions of each [`Group`], the best estimate.
     pub between_sd: [f64; 3],
     /// Degrees of freedom of `between_sd`; 0 of a group that was not fitted.
@@ -98,7 +96,6 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
         model,
         fitted: estimates[0].fitted,
         covariance,
-        within_sd: Group::ALL.map(|group| sessions.within_sd(group)),
         between_sd: found.map(|between| libm::sqrt(between.variance)),
         dof: found.map(|between| between.dof),
         slope_sd,

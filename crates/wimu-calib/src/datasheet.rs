@@ -182,10 +182,10 @@ impl Datasheet {
                 limit.map(|limit| Finding { quantity, subject, value, half_width_95, limit });
             findings.extend(finding);
         };
-        // A limit, if the parameter was fitted.
-        let fitted = |parameter: Parameter, limit: Option<Limit>| {
-            limit.filter(|_| estimate.fitted.contains(parameter))
-        };
+        // A limit, if the poses determine the parameter.
+        let seen = estimate.fitted.without(estimate.assumed);
+        let fitted =
+            |parameter: Parameter, limit: Option<Limit>| limit.filter(|_| seen.contains(parameter));
         for (axis, parameter) in Parameter::BIAS.into_iter().enumerate() {
             add(
                 Quantity::ZeroGOffset,

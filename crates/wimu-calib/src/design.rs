@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::{Model, Orientation, Parameter, Parameters, Pose};
+use crate::{Orientation, Parameter, Parameters, Pose};
 
 /// cos 40°: twelve well distributed poses cover all 26 orientations, the six sides cover only
 /// themselves.
@@ -45,9 +45,9 @@ type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
 /// [`next_of`](Self::next_of) plans them together.
 ///
 /// ```
-/// use wimu_calib::{Guide, Model, Orientation};
+/// use wimu_calib::{Guide, Orientation};
 ///
-/// let mut guide = Guide::new(Model::Full9);
+/// let mut guide = Guide::default();
 /// for remaining in (1..=12).rev() {
 ///     let next = guide.next_of(remaining, |_| true).expect("every orientation can be reached");
 ///     println!("{}", next.instruction());
@@ -57,20 +57,21 @@ type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Guide {
-    fitted: Parameters,
     /// Inverse of the information matrix of all twelve parameters, for poses of unit variance.
     inverse: SMatrix<f64, 12, 12>,
 }
 
-impl Guide {
+impl Default for Guide {
     /// A guide without poses.
-    pub fn new(model: Model) -> Self {
-        Self { fitted: model.fitted(), inverse: SMatrix::identity() / PRIOR }
+    fn default() -> Self {
+        Self { inverse: SMatrix::identity() / PRIOR }
     }
+}
 
+impl Guide {
     /// A guide after `poses`.
-    pub fn after(model: Model, poses: &[Pose]) -> Self {
-        let mut guide = Self::new(model);
+    pub fn after(poses: &[Pose]) -> Self {
+        let mut guide = Self::default();
         for pose in poses {
             guide.take(pose.mean_mps2);
         }
@@ -86,7 +87,7 @@ impl Guide {
 
     /// Adds a pose, or removes it with `sign` −1.
     fn change(&mut self, up: [f64; 3], sign: f64) {
-        let row = self.row(up);
+        let row = row(up);
         let along = self.inverse * row;
         let variance = row.dot(&along);
         self.inverse.ger(-sign / (1.0 + sign * variance), &along, &along, 1.0);
@@ -217,17 +218,17 @@ impl Guide {
 
     /// Variance of |f| − g in direction `up`, for poses of unit variance.
     fn variance(&self, up: [f64; 3]) -> f64 {
-        let row = self.row(up);
+        let row = row(up);
         row.dot(&(self.inverse * row))
     }
+}
 
-    /// Equation (13) for a sensor without errors, in m/s² at 1 g.
-    fn row(&self, up: [f64; 3]) -> SVector<f64, 12> {
-        let mut row = SVector::zeros();
-        for parameter in self.fitted.iter() {
-            let i = parameter.index();
-            row[i] = if i < 3 { -up[i] } else { -up[i / 3 - 1] * up[i % 3] };
-        }
-        row
+/// Equation (13) for a sensor without errors, in m/s² at 1 g.
+fn row(up: [f64; 3]) -> SVector<f64, 12> {
+    let mut row = SVector::zeros();
+    for parameter in Parameters::OF_GRAVITY.iter() {
+        let i = parameter.index();
+        row[i] = if i < 3 { -up[i] } else { -up[i / 3 - 1] * up[i % 3] };
     }
+    row
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
 
 use crate::terms::{Slot, Theta};
-use crate::{Gravity, Model, Pose};
+use crate::{Gravity, Pose};
 
 /// Centre c and matrix Q of the ellipsoid (x − c)ᵀ Q (x − c) = 1 nearest to `points`; `None` where
 /// the fit is singular. Q is not positive definite if the points are not on an ellipsoid.
@@ -30,11 +30,8 @@ pub(crate) fn ellipsoid(
     Some((centre, shape / (1.0 - p.dot(&centre))))
 }
 
-/// Starting parameters of a nine-parameter fit. `None` for other models, or when the points are not on an ellipsoid.
-pub(crate) fn start(poses: &[Pose], gravity: Gravity, model: Model) -> Option<Theta> {
-    if model != Model::Full9 {
-        return None;
-    }
+/// Starting parameters of a nine-parameter fit. `None` when the points are not on an ellipsoid.
+pub(crate) fn start(poses: &[Pose], gravity: Gravity) -> Option<Theta> {
     let gravity_mps2 = gravity.mps2();
     let points = poses.iter().map(|pose| Vector3::from(pose.mean_mps2.map(|y| y / gravity_mps2)));
     let (centre, q) = ellipsoid(points)?;

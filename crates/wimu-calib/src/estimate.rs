@@ -3,10 +3,10 @@
 use alloc::vec::Vec;
 use core::fmt;
 
-use wimu_model::{CentiCelsius, ErrorModel, Matrix3, ModelError, SpecificForceMps2};
+use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
 use crate::terms::{self, Slot, Terms, Theta};
-use crate::{Covariance, Face, Gravity, Model, Parameter, Parameters, Pose, force, student};
+use crate::{Covariance, Face, Gravity, Parameter, Parameters, Pose, force, student};
 
 /// An error model and its quality.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +20,8 @@ pub struct Estimate {
     pub terms: Terms,
     /// Which of the 12 parameters were fitted.
     pub fitted: Parameters,
+    /// Those of them that the priors determine more than the poses do.
+    pub assumed: Parameters,
     /// Covariance of the 12 parameters, including the uncertainty of gravity and of the terms; with
     /// drift at the last pose, with temperature terms at the reference temperature.
     pub covariance: Covariance,
@@ -45,8 +47,8 @@ pub struct Estimate {
     pub max_mps2: f64,
     /// Index of the pose with the largest residual.
     pub worst_pose: usize,
-    /// Leave-one-out error: residual of each pose under the model fitted without it, m/s² rms over
-    /// all poses; `None` if a pose cannot be left out (six-position with one pose per side).
+    /// Leave-one-out error: residual of each fitted pose under the model fitted without it, m/s² rms;
+    /// `None` if a pose cannot be left out (six-position with one pose per side).
     pub loo_rms_mps2: Option<f64>,
     /// Leave-one-out error with whole orientations left out, which is the one that is judged;
     /// `None` if no orientation is repeated. With more than 256 poses, repeated orientations are
@@ -57,9 +59,6 @@ pub struct Estimate {
     pub pose_sd_mps2: f64,
     /// Indices of the poses rejected as outliers.
     pub rejected: Vec<usize>,
-    /// With [`best_model`](crate::best_model): the model that would fit much better, and the bound
-    /// that it violates.
-    pub beyond_bounds: Option<BeyondBounds>,
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g; 1 is best.
     pub condition: f64,
     /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
@@ -89,6 +88,7 @@ impl Estimate {
             method,
             terms: Terms::NONE,
             fitted: Parameters::ALL,
+            assumed: Parameters::default(),
             covariance: Covariance::ZERO,
             term_sd: TermDeviations::default(),
             gravity,
@@ -104,7 +104,6 @@ impl Estimate {
             loo_orientation_rms_mps2: None,
             pose_sd_mps2: 0.0,
             rejected: Vec::new(),
-            beyond_bounds: None,
             condition: 1.0,
             worst_sd_mps2: 0.0,
             coverage: 0.0,
@@ -118,16 +117,12 @@ impl Estimate {
     /// covariance the tolerances of typical datasheets. Not included are the three that are 0 by
     /// convention because gravity alone does not determine a rotation.
     pub fn not_observed(&self) -> Parameters {
-        let chosen: Parameters = match self.method {
-            Method::MultiPosition(_) => {
-                use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
-                [MisalignmentYx, MisalignmentZx, MisalignmentZy].into_iter().collect()
-            }
+        match self.method {
+            Method::MultiPosition => Parameters::default(),
             Method::SixPosition { .. } | Method::FourAngle | Method::ThreeAngle => {
-                Parameters::default()
+                Parameters::ALL.without(self.fitted)
             }
-        };
-        Parameters::ALL.without(self.fitted).without(chosen)
+        }
     }
 
     /// Standard deviations of the parameters in the form of the model; for unobserved ones the
@@ -177,17 +172,6 @@ impl Estimate {
     }
 }
 
-/// A model that was not selected because a parameter is not plausible.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BeyondBounds {
-    /// The model.
-    pub model: Model,
-    /// Its terms.
-    pub terms: Terms,
-    /// The bound that it violates.
-    pub error: ModelError,
-}
-
 /// Linear drift of the bias over a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drift {
@@ -222,7 +206,7 @@ pub enum Method {
         unexplained: bool,
     },
     /// Any orientations, from the magnitude of gravity.
-    MultiPosition(Model),
+    MultiPosition,
     /// Rotations in four steps about a horizontal axis: bias and scale factor of the axes in the
     /// plane.
     FourAngle,
@@ -234,7 +218,7 @@ impl fmt::Display for Method {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::SixPosition { .. } => out.write_str("six-position"),
-            Self::MultiPosition(model) => write!(out, "multi-position, {model}"),
+            Self::MultiPosition => out.write_str("multi-position"),
             Self::FourAngle => out.write_str("four-angle"),
             Self::ThreeAngle => out.write_str("three-angle"),
         }

@@ -1,4 +1,4 @@
-//! The fit of one model, its covariance and its refusals.
+//! The fit to the magnitude of gravity, its covariance and its refusals.
 
 use alloc::format;
 use alloc::vec::Vec;
@@ -8,36 +8,39 @@ use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 use crate::estimate::{Drift, Residuals, TermDeviations};
 use crate::force::Conditions;
 use crate::magnitude::{Fit, Knowledge, Magnitude, Shared};
-use crate::multi_position::{Fitted, Violation, range};
-use crate::terms::{self, PERFECT, Term, Terms, Theta};
-use crate::unfitted::Unfitted;
+use crate::multi_position::range;
+use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::visits::Visits;
 use crate::weights::Weighting;
 use crate::{
-    Covariance, Estimate, Gravity, Method, Model, MultiPosition, Pose, Reason, Refusal, design,
-    ellipsoid, input, outliers, pose,
+    Covariance, Estimate, Gravity, Method, MultiPosition, Parameters, Pose, Reason, Refusal,
+    design, ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
 /// dominates the fit. Twelve well distributed poses give 2 to 3.
 const MOST_LEFT_OUT: f64 = 10.0;
-/// Largest residual of a fit to static poses, m/s² rms: with three or six parameters; with nine (10
-/// mg, as after a cold start); with nine and further terms.
-const MOST_RMS_MPS2: [f64; 3] = [0.5, 0.1, 0.05];
+/// Largest residual of a fit to static poses, m/s² rms: 10 mg, as after a cold start; with further terms 5 mg.
+const MOST_RMS_MPS2: [f64; 2] = [0.1, 0.05];
 /// Residual above which clipped axes are searched for, m/s² rms: 5 mg.
 const SUSPICIOUS_RMS_MPS2: f64 = 0.05;
 /// Scale of the Cauchy cost when least squares does not converge, m/s².
 const FAR_OFF_MPS2: f64 = 0.5;
 /// Leave-one-out error that is always accepted, m/s².
 const GOOD_LEFT_OUT_MPS2: f64 = 1e-4;
+/// A parameter is assumed, not determined, if its standard deviation exceeds this fraction of its prior's.
+const ASSUMED: f64 = 0.5;
+/// Iterations of the fit and of the variance of its residuals, which the weights of the priors depend on.
+const PRIOR_ROUNDS: usize = 4;
 
 /// A fit whose parameters are observable.
 pub(crate) struct Found<'a> {
-    pub problem: Magnitude<'a>,
-    pub fit: Fit,
+    problem: Magnitude<'a>,
+    fit: Fit,
     knowledge: Knowledge,
     gravity: Gravity,
     what: MultiPosition,
+    terms: Terms,
 }
 
 /// A fit that explains the poses, before poses are left out.
@@ -50,40 +53,43 @@ struct Basis {
     shared: Shared,
 }
 
+/// Fits the nine parameters and `terms`.
 pub(crate) fn fit<'a>(
     poses: &'a [Pose],
     visits: &'a Visits,
     gravity: Gravity,
     what: MultiPosition,
+    terms: Terms,
     conditions: Conditions,
 ) -> Result<Found<'a>, Refusal> {
-    let mut problem = Magnitude {
-        poses,
-        visits,
-        gravity_mps2: gravity.mps2(),
-        conditions,
-        weighting: Weighting::EQUAL,
-        rejected: Vec::new(),
-        free: what.slots(),
+    let nine = Parameters::OF_GRAVITY;
+    let is_fitted = |slot: &Slot| match slot.parameter() {
+        Some(parameter) => nine.contains(parameter),
+        None => slot.term().is_some_and(|term| terms.contains(term)),
     };
+    let free: Vec<Slot> = Slot::ALL.into_iter().filter(is_fitted).collect();
+    let has_prior =
+        |slot: &Slot| what.priors && !slot.term().is_some_and(|term| what.terms.contains(term));
+    let mut problem = Magnitude::new(poses, visits, gravity.mps2(), conditions, free);
+    problem.set_priors(has_prior);
     let defect = || {
         let dead = || input::dead_axis(poses, gravity).map(Refusal::stuck);
         input::mixed_units(poses).or_else(dead)
     };
-    let ellipsoid = ellipsoid::start(poses, gravity, what.model);
+    let ellipsoid = ellipsoid::start(poses, gravity).filter(|_| !what.priors);
     let squares = ellipsoid.and_then(|start| problem.solve(&start));
     let squares = squares.or_else(|| problem.solve(&PERFECT));
     // Poses about one axis have no unique fit.
     let fit = if what.reject {
-        searched(&mut problem, squares, what)?
+        searched(&mut problem, squares)?
     } else {
-        squares.and_then(|fit| weighted(&mut problem, fit))
+        squares.and_then(|fit| settled(&mut problem, fit))
     };
     let knowledge = match &fit {
         Some(fit) => problem.knowledge(fit),
-        None => near_solution(&mut problem, what),
+        None => near_solution(&mut problem),
     };
-    if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices()) {
+    if let Some(knowledge) = knowledge.as_ref().filter(|knowledge| !knowledge.suffices) {
         return Err(defect().unwrap_or_else(|| knowledge.refusal()));
     }
     let Some((fit, knowledge)) = fit.zip(knowledge) else {
@@ -92,51 +98,43 @@ pub(crate) fn fit<'a>(
     if let Some(axis) = input::stuck_axis(poses) {
         return Err(Refusal::stuck(axis));
     }
-    Ok(Found { problem, fit, knowledge, gravity, what })
+    Ok(Found { problem, fit, knowledge, gravity, what, terms })
 }
 
-pub(crate) fn not_converged() -> Refusal {
+fn not_converged() -> Refusal {
     let text = "No error model gives these poses the same magnitude. Check that the sensor was at rest, that it was not \
                 saturated, and that every axis works.";
     Refusal::new(Reason::PoorFit { rms: f64::INFINITY, index: 0 }, text)
 }
 
-/// Observability at the bias and scale factors that fit best.
-fn near_solution(problem: &mut Magnitude, what: MultiPosition) -> Option<Knowledge> {
-    problem.free = MultiPosition { model: Model::BiasScale6, ..MultiPosition::default() }.slots();
-    let smaller = problem.solve(&PERFECT);
-    problem.free = what.slots();
-    problem.knowledge_at(&smaller.map_or(PERFECT, |fit| fit.at))
+/// Observability at the parameters that fit best with priors.
+fn near_solution(problem: &mut Magnitude) -> Option<Knowledge> {
+    problem.set_priors(|_| true);
+    let near = problem.solve(&PERFECT);
+    problem.set_priors(|_| false);
+    problem.knowledge_at(&near.map_or(PERFECT, |fit| fit.at))
 }
 
 /// Weights the poses and rejects outliers. `None` if no fit converges.
-fn searched(
-    problem: &mut Magnitude,
-    squares: Option<Fit>,
-    what: MultiPosition,
-) -> Result<Option<Fit>, Refusal> {
+fn searched(problem: &mut Magnitude, squares: Option<Fit>) -> Result<Option<Fit>, Refusal> {
     // A gross outlier may keep least squares, but not the robust fit, from converging.
     let converged = squares.is_some();
     let robust = || problem.solve_robust(&PERFECT, FAR_OFF_MPS2);
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };
-    let fit = outliers::reject(problem, first, what.model);
-    let fit = contradictions(problem, fit, what)?;
+    let fit = outliers::reject(problem, first);
+    let fit = contradictions(problem, fit)?.and_then(|fit| settled(problem, fit));
     Ok(fit.filter(|_| converged || !problem.rejected.is_empty()))
 }
 
 /// Rejects poses that the fit of the others contradicts, one by one.
-fn contradictions(
-    problem: &mut Magnitude,
-    fit: Fit,
-    what: MultiPosition,
-) -> Result<Option<Fit>, Refusal> {
+fn contradictions(problem: &mut Magnitude, fit: Fit) -> Result<Option<Fit>, Refusal> {
     let mut fit = weighted(problem, fit);
     while let Some(current) = &fit
-        && let Some(bad) = outliers::contradicted(problem, current, what.model)
+        && let Some(bad) = outliers::contradicted(problem, current)
     {
-        if !problem.knowledge(current).is_some_and(|known| known.suffices()) {
+        if !problem.knowledge(current).is_some_and(|known| known.suffices) {
             // The poses do not determine the parameters: no outlier is the cause.
             break;
         }
@@ -168,17 +166,24 @@ fn weighted(problem: &mut Magnitude, mut fit: Fit) -> Option<Fit> {
     Some(fit)
 }
 
+/// Weights the poses, and the priors against the variance of the residuals.
+fn settled(problem: &mut Magnitude, fit: Fit) -> Option<Fit> {
+    let mut fit = weighted(problem, fit)?;
+    for _ in 0..if problem.has_priors() { PRIOR_ROUNDS } else { 0 } {
+        problem.sd_mps2 = libm::sqrt(problem.variance(&fit));
+        let at = problem.solve(&fit.at)?;
+        fit = weighted(problem, at)?;
+    }
+    Some(fit)
+}
+
 impl Found<'_> {
-    fn basis(&self, violation: Option<&mut Violation>) -> Result<Basis, Refusal> {
+    fn basis(&self) -> Result<Basis, Refusal> {
         let Self { problem, fit, what, .. } = self;
         let poses = problem.poses;
         let (theta, free) = (&fit.at, &problem.free);
-        let model = ErrorModel::new(self.error_terms()).map_err(|error| {
-            if let Some(violation) = violation {
-                *violation = Some((error, fit.cost / (problem.count() - free.len()) as f64));
-            }
-            Refusal::out_of_bounds(error, "an accelerometer")
-        })?;
+        let model = ErrorModel::new(self.error_terms())
+            .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
         let too_few = || too_few_poses(problem.independent().0, *what);
         let shared = problem.shared(fit).ok_or_else(too_few)?;
         let residuals = problem.residuals(theta);
@@ -189,19 +194,13 @@ impl Found<'_> {
         {
             return Err(Refusal::saturated(axis));
         }
-        let most_rms = match (what.model, what.terms) {
-            (Model::Full9, Terms::NONE) => MOST_RMS_MPS2[1],
-            (Model::Full9, _) => MOST_RMS_MPS2[2],
-            _ => MOST_RMS_MPS2[0],
-        };
+        let most_rms = MOST_RMS_MPS2[usize::from(self.terms != Terms::NONE)];
         if kept.rms_mps2() > most_rms {
             return Err(input::mixed_units(poses).unwrap_or_else(|| poor_fit(&kept)));
         }
         let mut covariance = Covariance::ZERO;
         covariance.add_fitted(free, |r, c| shared.variance * shared.spread[(r, c)]);
-        if what.model != Model::Bias3 {
-            covariance.add_gravity(theta, self.gravity);
-        }
+        covariance.add_gravity(theta, self.gravity);
         Ok(Basis { model, covariance, rms_mps2: kept.rms_mps2(), shared })
     }
 
@@ -220,92 +219,71 @@ impl Found<'_> {
         }
     }
 
-    /// The estimate, judged by leaving poses out and by what its model leaves out.
-    pub fn fitted(&self, violation: Option<&mut Violation>) -> Result<Fitted, Refusal> {
-        let Basis { model, covariance, rms_mps2, shared } = self.basis(violation)?;
+    /// The estimate, judged by leaving poses out.
+    pub fn estimate(&self) -> Result<Estimate, Refusal> {
+        let Basis { model, covariance, rms_mps2, shared } = self.basis()?;
         let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
         let theta: &Theta = &fit.at;
-        let fitted_poses = problem.count();
         let all = Residuals::of_each(&problem.residuals(theta));
         let left_out = problem.left_out(fit, true);
         // By orientation: a repeated orientation does not confirm the model elsewhere.
         let again = problem.independent().1;
         let by_orientation = again.then(|| problem.left_out(fit, false));
-        let judged = by_orientation.as_ref().unwrap_or(&left_out);
-        let mut kept_left_out = Residuals::default();
-        problem.kept().for_each(|k| kept_left_out.add(k, judged[k]));
+        // A rejected pose says nothing of the fit: it would hide how well the others are predicted.
+        let of_kept = |residuals: &[f64]| {
+            let mut kept = Residuals::default();
+            problem.kept().for_each(|k| kept.add(k, residuals[k]));
+            kept
+        };
+        let kept_left_out = of_kept(by_orientation.as_ref().unwrap_or(&left_out));
         let sd = libm::sqrt(shared.variance);
+        let sd_of = |i: usize| sd * libm::sqrt(shared.spread[(i, i)]);
         let mut term_sd = TermDeviations::default();
-        term_sd.add_fitted(free, |i| shared.variance * shared.spread[(i, i)]);
+        term_sd.add_fitted(free, |i| sd_of(i) * sd_of(i));
         let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
         let predicted = kept_left_out.rms_mps2();
-        if predicted > most || predicted.is_nan() {
-            return Err(poor_prediction(what.model, rms_mps2, &kept_left_out));
+        // With priors, the intervals hold what a single pose determines.
+        if !what.priors && (predicted > most || predicted.is_nan()) {
+            return Err(poor_prediction(rms_mps2, &kept_left_out));
         }
-        let mut estimate = Estimate {
+        let is_assumed = |i: &usize| {
+            let prior = problem.prior_sd[*i];
+            prior.is_some_and(|prior| sd_of(*i) > ASSUMED * prior)
+        };
+        let assumed = (0..free.len()).filter(is_assumed).filter_map(|i| free[i].parameter());
+        Ok(Estimate {
             model,
-            method: Method::MultiPosition(what.model),
-            terms: what.terms,
-            fitted: what.model.fitted(),
+            method: Method::MultiPosition,
+            terms: self.terms,
+            fitted: Parameters::OF_GRAVITY,
+            assumed: assumed.collect(),
             covariance,
             term_sd,
             gravity: self.gravity,
-            poses: fitted_poses,
+            poses: problem.count(),
             orientations: problem.groups().len(),
-            dof: fitted_poses - free.len(),
+            dof: (problem.count() as f64 - problem.determined(fit)).max(0.0) as usize,
             interval_dof: Some(shared.dof),
             rms_mps2: all.rms_mps2(),
             fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,
             worst_pose: all.worst_pose,
-            loo_rms_mps2: Some(Residuals::of_each(&left_out).rms_mps2()),
-            loo_orientation_rms_mps2: by_orientation.map(|r| Residuals::of_each(&r).rms_mps2()),
+            loo_rms_mps2: Some(of_kept(&left_out).rms_mps2()),
+            loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms_mps2()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
             rejected: problem.rejected.clone(),
-            beyond_bounds: None,
             condition: self.knowledge.condition,
             worst_sd_mps2: sd * problem.amplification(theta, &shared.spread),
             coverage: design::coverage(poses),
             temperature_c: pose::mean_temperature(poses.iter()),
             temperature_range_c: range(poses, |pose| pose.temperature_c),
-            drift: what.terms.contains(Term::Drift).then(|| Drift {
+            drift: self.terms.contains(Term::Drift).then(|| Drift {
                 change_mps2: terms::triple(theta, 12),
                 end_s: problem.conditions.end_s,
                 span_s: 1.0 / problem.conditions.per_span,
             }),
-        };
-        self.widen(&mut estimate, &shared)?;
-        Ok(Fitted {
-            estimate,
-            kept_left_out_mps2: predicted,
-            dof: shared.dof,
-            telling: shared.poses,
-            evidence: 0.0,
         })
-    }
-
-    /// Adds the effect of the parameters that the model leaves out.
-    fn widen(&self, estimate: &mut Estimate, shared: &Shared) -> Result<(), Refusal> {
-        let Self { problem, fit, what, .. } = self;
-        let Some(unfitted) = Unfitted::of(problem, fit, shared, *what, true) else {
-            return Ok(());
-        };
-        // Poses in a plane determine the bias normal to the plane up to its sign, and that only by
-        // its square: the derivatives vanish for a perfect sensor.
-        let perfect = problem.at_perfect(fit);
-        let perfect = perfect.and_then(|fit| Unfitted::of(problem, &fit, shared, *what, false));
-        for unfitted in [Some(&unfitted), perfect.as_ref()].into_iter().flatten() {
-            if let Some(refusal) = unfitted.refusal(what.model) {
-                return Err(refusal);
-            }
-        }
-        let added = |r, c| unfitted.covariance[(r, c)];
-        estimate.covariance.add_fitted(&problem.free, added);
-        estimate.term_sd.add_fitted(&problem.free, |i| added(i, i));
-        estimate.interval_dof = Some(unfitted.dof);
-        estimate.worst_sd_mps2 = unfitted.worst_sd_mps2;
-        Ok(())
     }
 }
 
@@ -319,7 +297,7 @@ fn poor_fit(residuals: &Residuals) -> Refusal {
     Refusal::new(Reason::PoorFit { rms, index }, text)
 }
 
-fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal {
+fn poor_prediction(rms_mps2: f64, left_out: &Residuals) -> Refusal {
     let (predicted, index) = (left_out.rms_mps2(), left_out.worst_pose);
     let error = if predicted.is_finite() {
         format!("the leave-one-out error is {:.2} mm/s² rms", predicted * 1e3)
@@ -327,8 +305,7 @@ fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal
         "the others do not determine the model".into()
     };
     let text = format!(
-        "Pose {index} (from 0) dominates the fit of the {model}: {error}, the residuals are {:.2}. Add poses in other \
-         orientations.",
+        "Pose {index} (from 0) dominates the fit: {error}, the residuals are {:.2}. Add poses in other orientations.",
         rms_mps2 * 1e3
     );
     Refusal::new(Reason::PoorPrediction { index }, text)
@@ -336,15 +313,14 @@ fn poor_prediction(model: Model, rms_mps2: f64, left_out: &Residuals) -> Refusal
 
 /// The refusal of `have` independent poses.
 pub(crate) fn too_few_poses(have: usize, what: MultiPosition) -> Refusal {
-    let need = what.parameters() + 1;
+    let need = what.fewest_poses();
     let text = match have {
         0 => format!(
             "No static pose was found. Hold the sensor still for two seconds in each of {need} orientations or more."
         ),
         _ => format!(
-            "{have} static pose{}, the {} needs {need} or more. Add poses in other orientations.",
+            "{have} static pose{}, {need} or more are needed. Add poses in other orientations.",
             if have == 1 { "" } else { "s" },
-            what.model
         ),
     };
     Refusal::new(Reason::TooFew { have, need }, text)

@@ -1,7 +1,7 @@
 //! The accelerometer in unknown orientations: at rest |f| = g. Equations (12) to (17), (40) to (42b).
 //!
 //! r_k = |f(y_k; θ)| − g, with f = z − q ∘ z ∘ z and z = A(T)⁻¹ (y − b(T) − drift). The free parameters are a subset of
-//! θ; the others keep their starting values.
+//! θ; the others keep their starting values. A prior is a row (θ_i − ideal) σ/σ_i, with σ of the residuals.
 
 use alloc::format;
 use alloc::string::String;
@@ -11,9 +11,9 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::force::{Conditions, Evaluated};
 use crate::least_squares::{self, ResidualModel, Rows, Scaled, Settings};
-use crate::terms::{PERFECT, Slot, Theta};
+use crate::terms::{PERFECT, Slot, Theta, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
-use crate::weights::Weighting;
+use crate::weights::{USUAL_DOF, USUAL_MPS2, Weighting};
 use crate::{Orientation, Pose, Reason, Refusal};
 
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
@@ -24,6 +24,8 @@ const LAST_ROBUST_STEP: f64 = 1e-3;
 /// Largest amplification of an error from the poses to other orientations. Twelve well distributed
 /// poses give 1 to 2, twelve random ones 4.
 const MOST_AMPLIFICATION: f64 = 10.0;
+/// Largest standard deviation of a bias that the poses determine, relative to that of typical sensors.
+const LEAST_KNOWN: f64 = 0.5;
 /// Largest number of attempts to invert a singular information matrix, each with four times the
 /// diagonal.
 const MOST_REGULARISATIONS: usize = 10;
@@ -42,6 +44,10 @@ pub(crate) struct Magnitude<'a> {
     pub rejected: Vec<usize>,
     /// The fitted parameters; the others keep their starting values.
     pub free: Vec<Slot>,
+    /// Standard deviation of the prior of each about a perfect sensor; `None` if it is flat.
+    pub prior_sd: Vec<Option<f64>>,
+    /// Standard deviation of a residual of weight 1, m/s², against which the priors are weighed.
+    pub sd_mps2: f64,
 }
 
 impl ResidualModel for Magnitude<'_> {
@@ -49,8 +55,9 @@ impl ResidualModel for Magnitude<'_> {
 
     fn rows(&self, theta: &Theta) -> Option<Rows> {
         let at = Evaluated::new(theta)?;
-        let (n, p) = (self.poses.len(), self.free.len());
-        let mut rows = Rows { residual: DVector::zeros(n), jacobian: DMatrix::zeros(n, p) };
+        let (n, p, priors) = (self.poses.len(), self.free.len(), self.priors().count());
+        let mut rows =
+            Rows { residual: DVector::zeros(n + priors), jacobian: DMatrix::zeros(n + priors, p) };
         for (k, pose) in self.poses.iter().enumerate() {
             let applied = at.pose(pose, &self.conditions);
             let all = at.derivatives(&applied);
@@ -58,6 +65,11 @@ impl ResidualModel for Magnitude<'_> {
             for (i, slot) in self.free.iter().enumerate() {
                 rows.jacobian[(k, i)] = all[slot.index()];
             }
+        }
+        for (row, (i, root)) in (n..).zip(self.priors()) {
+            let slot = self.free[i].index();
+            rows.residual[row] = root * (theta[slot] - PERFECT[slot]);
+            rows.jacobian[(row, i)] = root;
         }
         Some(rows)
     }
@@ -79,40 +91,28 @@ pub(crate) struct Shared {
     pub spread: DMatrix<f64>,
     /// Degrees of freedom of `variance`.
     pub dof: f64,
-    /// Effective number of poses: poses in different orientations that would carry as much
-    /// information.
-    pub poses: f64,
 }
 
 /// Observability of the fitted parameters: equation (17).
 pub(crate) struct Knowledge {
     /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
     pub condition: f64,
-    /// Standard deviation of |f| − g in the worst of 26 orientations, relative to that of the
-    /// residuals.
-    pub amplification: f64,
-    /// That orientation: a pose there adds most information.
+    /// The orientation in which |f| − g is known worst: a pose there adds most information.
     pub poorest: Orientation,
+    /// Whether it is good enough.
+    pub suffices: bool,
 }
 
 impl Knowledge {
-    pub fn suffices(&self) -> bool {
-        self.amplification < MOST_AMPLIFICATION
-    }
-
     pub fn refusal(&self) -> Refusal {
         let number = thousands(self.condition);
         let text = format!(
-            "These poses do not determine the model (condition number {number}). {}",
-            add_poses(self.poorest)
+            "These poses do not determine the model (condition number {number}). Add poses with {}, and with {}.",
+            self.poorest,
+            self.poorest.opposite()
         );
         Refusal::new(Reason::NotObservable, text)
     }
-}
-
-/// What to do where the error is largest in an orientation.
-pub(crate) fn add_poses(poorest: Orientation) -> String {
-    format!("Add poses with {poorest}, and with {}.", poorest.opposite())
 }
 
 /// A number in groups of three digits.
@@ -131,7 +131,77 @@ fn thousands(value: f64) -> String {
     text
 }
 
-impl Magnitude<'_> {
+impl<'a> Magnitude<'a> {
+    /// Of all poses with equal weights, without priors.
+    pub fn new(
+        poses: &'a [Pose],
+        visits: &'a Visits,
+        gravity_mps2: f64,
+        conditions: Conditions,
+        free: Vec<Slot>,
+    ) -> Self {
+        Self {
+            poses,
+            visits,
+            gravity_mps2,
+            conditions,
+            weighting: Weighting::EQUAL,
+            rejected: Vec::new(),
+            prior_sd: alloc::vec![None; free.len()],
+            free,
+            sd_mps2: USUAL_MPS2,
+        }
+    }
+
+    /// Gives the parameters that `has_prior` selects the prior of typical datasheets: equation (42a).
+    pub fn set_priors(&mut self, has_prior: impl Fn(&Slot) -> bool) {
+        let prior = |slot: &Slot| slot.usual_sd().filter(|_| has_prior(slot));
+        self.prior_sd = self.free.iter().map(prior).collect();
+    }
+
+    pub fn has_priors(&self) -> bool {
+        self.prior_sd.iter().any(Option::is_some)
+    }
+
+    /// The column of each prior, and the root of its weight.
+    fn priors(&self) -> impl Iterator<Item = (usize, f64)> {
+        let all = self.prior_sd.iter().enumerate();
+        all.filter_map(|(i, sd)| Some((i, self.sd_mps2 / (*sd)?)))
+    }
+
+    /// Number of parameters that the poses determine: all, less the share of the priors.
+    pub fn determined(&self, fit: &Fit) -> f64 {
+        let share = |(i, root): (usize, f64)| root * root * fit.inverse[(i, i)];
+        self.free.len() as f64 - self.priors().map(share).sum::<f64>()
+    }
+
+    /// Σ w r² of the fitted poses but `without`.
+    pub fn cost(&self, fit: &Fit, without: Option<usize>) -> f64 {
+        if !self.has_priors() {
+            return fit.cost;
+        }
+        let residuals = self.residuals(&fit.at);
+        let kept = self.kept().filter(|k| Some(*k) != without);
+        kept.map(|k| self.weighting.of(&self.poses[k]) * residuals[k] * residuals[k]).sum()
+    }
+
+    /// Prior observations of the residuals' variance, beside priors of the parameters: Σ w r² of usual sensors, and degrees of
+    /// freedom.
+    pub fn usual(&self) -> (f64, f64) {
+        if !self.has_priors() {
+            return (0.0, 0.0);
+        }
+        let dof = USUAL_DOF as f64;
+        (dof * (USUAL_MPS2 * USUAL_MPS2 + self.mean_noise()), dof)
+    }
+
+    /// Variance of a residual of weight 1: equation (42a).
+    pub fn variance(&self, fit: &Fit) -> f64 {
+        let (squares, usual_dof) = self.usual();
+        let dof = self.count() as f64 - self.determined(fit);
+        (self.cost(fit, None) + squares) / (dof.max(0.0) + usual_dof)
+    }
+
     fn settings(&self, cauchy: Option<f64>) -> Settings {
         let last_step = cauchy.map_or(LAST_STEP_MPS2, |scale| LAST_ROBUST_STEP * scale);
         Settings { cauchy, last_step, magnitude: self.gravity_mps2 }
@@ -141,6 +211,7 @@ impl Magnitude<'_> {
     pub fn weights(&self) -> Vec<f64> {
         let mut weights: Vec<f64> = self.poses.iter().map(|pose| self.weighting.of(pose)).collect();
         self.rejected.iter().for_each(|k| weights[*k] = 0.0);
+        weights.extend(self.priors().map(|_| 1.0));
         weights
     }
 
@@ -159,8 +230,9 @@ impl Magnitude<'_> {
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
     /// influence.
     pub fn solve_robust(&self, start: &Theta, cauchy: f64) -> Option<Fit> {
-        let weights: Vec<f64> =
-            (0..self.poses.len()).map(|k| if self.is_rejected(k) { 0.0 } else { 1.0 }).collect();
+        let of_pose = |k: usize| if self.is_rejected(k) { 0.0 } else { 1.0 };
+        let priors = self.priors().map(|_| 1.0);
+        let weights: Vec<f64> = (0..self.poses.len()).map(of_pose).chain(priors).collect();
         least_squares::minimise(self, start, &weights, self.settings(Some(cauchy)))
     }
 
@@ -234,7 +306,7 @@ impl Magnitude<'_> {
             return alloc::vec![f64::INFINITY; self.poses.len()];
         };
         let settings = self.settings(None);
-        let mut left: Vec<f64> = rows.residual.iter().copied().collect();
+        let mut left: Vec<f64> = rows.residual.iter().copied().take(self.poses.len()).collect();
         let groups: Vec<Vec<usize>> =
             if each { self.kept().map(|k| alloc::vec![k]).collect() } else { self.groups() };
         for group in groups {
@@ -263,15 +335,11 @@ impl Magnitude<'_> {
     /// Variance within and between orientations. `None` when the differences between orientations
     /// are used up by the parameters.
     pub fn shared(&self, fit: &Fit) -> Option<Shared> {
-        let (n, p) = (self.count() as f64, self.free.len() as f64);
-        let apart = Shared {
-            variance: fit.cost / (n - p),
-            spread: fit.inverse.clone(),
-            dof: n - p,
-            poses: n,
-        };
+        let (n, p) = (self.count() as f64, self.determined(fit));
+        let cost = self.cost(fit, None);
+        let apart = Shared { variance: cost / (n - p), spread: fit.inverse.clone(), dof: n - p };
         if !self.independent().1 {
-            return Some(apart);
+            return Some(self.with_usual_variance(apart));
         }
         // Sums over the poses of each orientation, with residuals e and rows x multiplied by the
         // root of the weight: Σ e; G = Σ g gᵀ with g = Σ x; Σ m²; Σ m g gᵀ.
@@ -294,32 +362,42 @@ impl Magnitude<'_> {
             weighted.ger(m, &row, &row, 1.0);
         }
         let around = &fit.inverse * &rows * &fit.inverse;
+        let mut with_priors = rows.clone();
+        self.priors().for_each(|(i, root)| with_priors[(i, i)] += root * root);
         let a = n - (&fit.inverse * &rows).trace();
         let k = squares - 2.0 * (&fit.inverse * weighted).trace() + (&around * rows).trace();
         // The parameters use up the differences between orientations.
         if a < 0.5 * n / groups.len() as f64 {
-            return None;
+            return self.has_priors().then(|| self.with_usual_variance(apart));
         }
         // S = α (n − p) + β a, T = α a + β k.
         let determinant = (n - p) * k - a * a;
-        let beta = ((n - p) * together - a * fit.cost) / determinant;
+        let beta = ((n - p) * together - a * cost) / determinant;
         if !(determinant > 1e-9 * a * a && beta > 0.0) {
-            return Some(apart);
+            return Some(self.with_usual_variance(apart));
         }
         let beta = beta.min(together / k);
-        let alpha = ((fit.cost - beta * a) / (n - p)).max(0.0);
+        let alpha = ((cost - beta * a) / (n - p)).max(0.0);
         let variance = alpha + beta;
         let share = beta / variance;
-        let telling = groups.iter().map(|group| {
-            let m = group.len() as f64;
-            m / (1.0 + share * (m - 1.0))
-        });
-        Some(Shared {
+        let around = &fit.inverse * with_priors * &fit.inverse;
+        Some(self.with_usual_variance(Shared {
             variance,
             spread: &fit.inverse * (1.0 - share) + around * share,
-            dof: (a * a / k).clamp(1.0, n - p),
-            poses: telling.sum(),
-        })
+            dof: (a * a / k).min(n - p).max(1.0),
+        }))
+    }
+
+    /// With the prior observations of the variance.
+    fn with_usual_variance(&self, mut shared: Shared) -> Shared {
+        let (squares, usual_dof) = self.usual();
+        if usual_dof > 0.0 {
+            let dof = shared.dof.max(0.0);
+            let own = if dof > 0.0 { shared.variance * dof } else { 0.0 };
+            shared.dof = dof + usual_dof;
+            shared.variance = (own + squares) / shared.dof;
+        }
+        shared
     }
 
     /// JᵀJ at `theta`, with equal weights of the fitted poses.
@@ -329,23 +407,32 @@ impl Magnitude<'_> {
         Some(jacobian.tr_mul(&jacobian))
     }
 
-    /// `fit` with the derivatives of a perfect sensor.
-    pub fn at_perfect(&self, fit: &Fit) -> Option<Fit> {
-        let mut jacobian = self.rows(&PERFECT)?.jacobian;
-        for (mut row, weight) in jacobian.row_iter_mut().zip(self.weights()) {
-            row.scale_mut(libm::sqrt(weight));
-        }
-        let inverse = Scaled::new(&jacobian.tr_mul(&jacobian), 0.0)?.inverse();
-        Some(Fit { inverse, cost: fit.cost, at: PERFECT })
-    }
-
     /// Observability of the fitted parameters, with equal weights.
     pub fn knowledge(&self, fit: &Fit) -> Option<Knowledge> {
+        if self.has_priors() {
+            let knowledge = self.with_inverse(&fit.at, &fit.inverse)?;
+            // Poses in a plane show the bias normal to it only by its square, which the derivatives of a perfect sensor lack.
+            let suffices = self.determines_bias(&fit.at) && self.determines_bias(&PERFECT);
+            return Some(Knowledge { suffices, ..knowledge });
+        }
         if self.weighting.is_equal() {
             return self.with_inverse(&fit.at, &fit.inverse);
         }
         let inverse = Scaled::new(&self.information(&fit.at)?, 0.0)?.inverse();
         self.with_inverse(&fit.at, &inverse)
+    }
+
+    /// Whether poses of usual scatter determine the bias, beside the priors.
+    fn determines_bias(&self, theta: &Theta) -> bool {
+        let Some(mut information) = self.information(theta) else { return false };
+        for (i, sd) in self.prior_sd.iter().enumerate() {
+            let root = sd.map_or(0.0, |sd| USUAL_MPS2 / sd);
+            information[(i, i)] += root * root;
+        }
+        let Some(factor) = Scaled::new(&information, 0.0) else { return false };
+        let inverse = factor.inverse();
+        let mut biases = (0..self.free.len()).filter(|i| self.free[*i].index() < 3);
+        biases.all(|i| USUAL_MPS2 * libm::sqrt(inverse[(i, i)]) < LEAST_KNOWN * USUAL_BIAS_MPS2)
     }
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
@@ -405,6 +492,7 @@ impl Magnitude<'_> {
         // A zero eigenvalue comes out as rounding of about this size.
         let floor = values.max() * f64::EPSILON * 0.5;
         let condition = libm::sqrt(values.max() / values.min().max(floor));
-        Some(Knowledge { condition, amplification, poorest })
+        let suffices = amplification < MOST_AMPLIFICATION;
+        Some(Knowledge { condition, poorest, suffices })
     }
 }

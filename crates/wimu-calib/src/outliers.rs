@@ -5,9 +5,9 @@ use alloc::string::String;
 use alloc::vec::Vec;
 
 use crate::magnitude::{Fit, Magnitude};
-use crate::terms::{Theta, USUAL_ACROSS, USUAL_SCALE};
+use crate::terms::Theta;
 use crate::weights::Weighting;
-use crate::{Model, Reason, Refusal, student};
+use crate::{Reason, Refusal, student};
 
 /// Probability that a set without outliers loses a pose.
 const SIGNIFICANCE: f64 = 1e-3;
@@ -25,8 +25,9 @@ const REPEATS: f64 = 2.0;
 const EITHER: f64 = 0.01;
 /// Number of poses tested one by one: those whose removal reduces the cost most.
 const TRIED: usize = 3;
-/// Smallest number of degrees of freedom after rejection.
+/// Smallest number of degrees of freedom after rejection, and of a test.
 const LEAST_DOF: usize = 3;
+const LEAST_TESTED_DOF: f64 = 0.5;
 /// Poses per rejected pose, at least.
 const DOUBTED: usize = 5;
 /// Largest number of rejected poses.
@@ -47,13 +48,11 @@ const ROBUST_FITS: usize = 4;
 /// distance. The rest is fitted, and the most distant poses are added again one by one, the nearest
 /// first, until the next one is an outlier. Returns the fit; the rejected poses are in
 /// `problem.rejected`.
-pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Fit {
-    let count = problem.poses.len();
-    let most = spare(problem);
+pub(crate) fn reject(problem: &mut Magnitude, fit: Fit) -> Fit {
+    let most = spare(problem, &fit);
     if most == 0 {
         return fit;
     }
-    let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
     let theta = robust(problem, &fit);
     let noisy = problem.has_noise();
     if noisy {
@@ -62,7 +61,7 @@ pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Fit {
         problem.weighting = Weighting::new(scatter * scatter, problem.mean_noise());
     }
     problem.rejected = farthest(problem, &theta, most);
-    if let Some(found) = added_again(problem, &fit.at, noisy, unfitted_mps2, count) {
+    if let Some(found) = added_again(problem, &fit.at, noisy) {
         return found;
     }
     problem.rejected.clear();
@@ -71,23 +70,18 @@ pub(crate) fn reject(problem: &mut Magnitude, fit: Fit, model: Model) -> Fit {
 }
 
 /// Adds the rejected poses again until the next one is an outlier; `None` if none is.
-fn added_again(
-    problem: &mut Magnitude,
-    start: &Theta,
-    noisy: bool,
-    unfitted_mps2: f64,
-    count: usize,
-) -> Option<Fit> {
+fn added_again(problem: &mut Magnitude, start: &Theta, noisy: bool) -> Option<Fit> {
+    let count = problem.poses.len() as f64;
     let mut inner = problem.solve(start)?;
     let mut linearised = false;
-    while let Some((place, deviate)) = nearest(problem, &inner, unfitted_mps2) {
-        let dof = problem.independent().0.saturating_sub(problem.free.len()).max(1);
-        let limit = student::two_sided(SIGNIFICANCE / count as f64, dof as f64);
+    while let Some((place, deviate)) = nearest(problem, &inner) {
+        let dof = problem.independent().0 as f64 - problem.determined(&inner) + problem.usual().1;
+        let limit = student::two_sided(SIGNIFICANCE / count, dof.max(1.0));
         if linearised && deviate > CLOSE * limit {
             (inner, linearised) = (problem.solve(&inner.at)?, false);
             continue;
         }
-        if deviate > limit && problem.knowledge(&inner).is_some_and(|known| known.suffices()) {
+        if deviate > limit && problem.knowledge(&inner).is_some_and(|known| known.suffices) {
             return Some(inner);
         }
         let pose = problem.rejected.remove(place);
@@ -102,10 +96,11 @@ fn added_again(
 }
 
 /// Largest number of poses that may be rejected.
-fn spare(problem: &Magnitude) -> usize {
+fn spare(problem: &Magnitude, fit: &Fit) -> usize {
     let count = problem.poses.len();
     let apart = problem.visits.apart(count);
-    apart.saturating_sub(problem.free.len() + LEAST_DOF).min(count / DOUBTED).min(MOST)
+    let determined = libm::ceil(problem.determined(fit)) as usize;
+    apart.saturating_sub(determined + LEAST_DOF).min(count / DOUBTED).min(MOST)
 }
 
 /// A pose that is an outlier with respect to the fit of all others.
@@ -135,37 +130,32 @@ impl Contradicted {
 
 /// The pose with the largest leave-one-out residual, if it is significant: equation (42d). It is
 /// found even if it has great leverage.
-pub(crate) fn contradicted(
-    problem: &mut Magnitude,
-    fit: &Fit,
-    model: Model,
-) -> Option<Contradicted> {
-    let count = problem.poses.len();
-    let dof = problem.independent().0.checked_sub(problem.free.len() + 1)?;
-    if dof == 0 {
+pub(crate) fn contradicted(problem: &mut Magnitude, fit: &Fit) -> Option<Contradicted> {
+    let count = problem.poses.len() as f64;
+    let dof = problem.independent().0 as f64 - problem.determined(fit) - 1.0 + problem.usual().1;
+    if dof < LEAST_TESTED_DOF {
         return None;
     }
-    let unfitted_mps2 = unfitted(problem.gravity_mps2, model);
-    let beyond = |chance: f64| student::two_sided(chance / count as f64, dof as f64);
+    let beyond = |chance: f64| student::two_sided(chance / count, dof);
     let limit = beyond(UNSPARED);
     let tried = suspects(problem, fit).into_iter().filter_map(|pose| {
-        let (off_mps2, deviate) = doubt(problem, fit, pose, unfitted_mps2, limit)?;
+        let (off_mps2, deviate) = doubt(problem, fit, pose, limit)?;
         Some((pose, off_mps2, deviate))
     });
     let found: Vec<(usize, f64, f64)> = tried.collect();
     let (pose, off_mps2, deviate) = found.iter().copied().max_by(|a, b| a.2.total_cmp(&b.2))?;
     let or = found.iter().map(|found| found.0).filter(|other| *other != pose).find(|other| {
-        if dof == 1 {
+        if dof < 1.0 + LEAST_TESTED_DOF {
             return true;
         }
         problem.rejected.push(*other);
-        let limit = student::two_sided(EITHER, (dof - 1) as f64);
+        let limit = student::two_sided(EITHER, dof - 1.0);
         let without = problem.solve(&fit.at);
-        let still = without.and_then(|fit| doubt(problem, &fit, pose, unfitted_mps2, limit));
+        let still = without.and_then(|fit| doubt(problem, &fit, pose, limit));
         problem.rejected.pop();
         still.is_none()
     });
-    let spared = or.is_none() && problem.rejected.len() < spare(problem);
+    let spared = or.is_none() && problem.rejected.len() < spare(problem, fit);
     (!spared || deviate > beyond(CONTRADICTION)).then_some(Contradicted {
         pose,
         or,
@@ -191,20 +181,17 @@ fn suspects(problem: &Magnitude, fit: &Fit) -> Vec<usize> {
 
 /// Residual of a pose under the fit of all others, m/s², and in standard deviations of its
 /// prediction; `None` if these do not exceed `limit`.
-fn doubt(
-    problem: &Magnitude,
-    fit: &Fit,
-    pose: usize,
-    unfitted_mps2: f64,
-    limit: f64,
-) -> Option<(f64, f64)> {
-    let dof = problem.count().checked_sub(problem.free.len() + 1).filter(|dof| *dof > 0)?;
+fn doubt(problem: &Magnitude, fit: &Fit, pose: usize, limit: f64) -> Option<(f64, f64)> {
     let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
     let predicted = |without: &Fit| {
         let (residual, growth) = problem.predicted(without, pose)?;
-        let squares = without.cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2;
-        let variance = squares / dof as f64 * (own + growth) + unfitted_mps2 * unfitted_mps2;
-        Some((residual, residual.abs() / libm::sqrt(variance), growth))
+        let (usual, usual_dof) = problem.usual();
+        let dof = problem.count() as f64 - 1.0 - problem.determined(without) + usual_dof;
+        let cost = problem.cost(without, Some(pose)) + usual;
+        let noise = (cost + REPEATS * REPEATS_MPS2 * REPEATS_MPS2) / dof;
+        let variance = predicted_variance(problem, noise, own, growth);
+        let deviate = residual.abs() / libm::sqrt(variance);
+        (dof >= LEAST_TESTED_DOF).then_some((residual, deviate, growth))
     };
     let mut without = fit.clone();
     problem.change(&mut without, pose, -1.0)?;
@@ -218,14 +205,12 @@ fn doubt(
     (deviate > limit).then_some((residual, deviate))
 }
 
-/// Standard deviation of |f| caused by the parameters that the model leaves out, m/s².
-fn unfitted(gravity_mps2: f64, model: Model) -> f64 {
-    gravity_mps2
-        * match model {
-            Model::Bias3 => USUAL_SCALE,
-            Model::BiasScale6 => USUAL_ACROSS,
-            Model::Full9 => 0.0,
-        }
+/// Variance of a pose's residual under a fit without it: `noise` of weight 1, of which the pose has `own`, and the variance
+/// of the prediction `growth`. With priors, that is relative to the variance against which they are weighed.
+fn predicted_variance(problem: &Magnitude, noise: f64, own: f64, growth: f64) -> f64 {
+    let of_fit =
+        if problem.has_priors() { noise.max(problem.sd_mps2 * problem.sd_mps2) } else { noise };
+    noise * own + of_fit * growth
 }
 
 /// Robust fit, starting from the least-squares fit.
@@ -239,7 +224,8 @@ fn robust(problem: &Magnitude, fit: &Fit) -> Theta {
             break;
         }
         last = median;
-        let small_sample = libm::sqrt(count / (count - problem.free.len() as f64));
+        let dof = (count - problem.determined(fit)).max(1.0);
+        let small_sample = libm::sqrt(count / dof);
         let scale = CAUCHY * PER_MEDIAN * median * small_sample;
         match problem.solve_robust(&theta, scale) {
             Some(better) => theta = better.at,
@@ -267,12 +253,14 @@ fn farthest(problem: &Magnitude, theta: &Theta, most: usize) -> Vec<usize> {
 
 /// The rejected pose that the fit predicts best: its index among the rejected poses, and its residual
 /// in standard deviations of the prediction.
-fn nearest(problem: &Magnitude, fit: &Fit, unfitted_mps2: f64) -> Option<(usize, f64)> {
-    let dof = problem.count().saturating_sub(problem.free.len()).max(1) as f64;
+fn nearest(problem: &Magnitude, fit: &Fit) -> Option<(usize, f64)> {
+    let (usual, usual_dof) = problem.usual();
+    let dof = (problem.count() as f64 - problem.determined(fit) + usual_dof).max(1.0);
+    let noise = (problem.cost(fit, None) + usual) / dof;
     let deviates = problem.rejected.iter().enumerate().filter_map(|(place, &pose)| {
         let (residual, growth) = problem.predicted(fit, pose)?;
         let own = 1.0 / problem.weighting.of(problem.poses.get(pose)?);
-        let variance = fit.cost / dof * (own + growth) + unfitted_mps2 * unfitted_mps2;
+        let variance = predicted_variance(problem, noise, own, growth);
         Some((place, residual.abs() / libm::sqrt(variance)))
     });
     deviates.min_by(|a, b| a.1.total_cmp(&b.1))

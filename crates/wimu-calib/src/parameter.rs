@@ -87,7 +87,14 @@ pub struct Parameters(u16);
 crate::set::set!(Parameters(u16) of Parameter);
 
 impl Parameters {
-    pub(crate) const NONE: Self = Self(0);
+    /// What gravity alone determines: bias, scale factors and the misalignments below the diagonal of A.
+    pub(crate) const OF_GRAVITY: Self = {
+        use Parameter::{BiasX, BiasY, BiasZ, ScaleX, ScaleY, ScaleZ};
+        use Parameter::{MisalignmentXy, MisalignmentXz, MisalignmentYz};
+        let scale =
+            Self(0).with(BiasX).with(BiasY).with(BiasZ).with(ScaleX).with(ScaleY).with(ScaleZ);
+        scale.with(MisalignmentXy).with(MisalignmentXz).with(MisalignmentYz)
+    };
 
     /// All 12.
     pub const ALL: Self = Self((1 << Parameter::COUNT) - 1);

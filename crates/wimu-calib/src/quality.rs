@@ -23,7 +23,7 @@ impl Estimate {
         CalibrationQuality::new(QualityTerms {
             method: match self.method {
                 Method::SixPosition { .. } => CalibrationMethod::SixPosition,
-                Method::MultiPosition(_) => CalibrationMethod::MultiPosition,
+                Method::MultiPosition => CalibrationMethod::MultiPosition,
                 Method::FourAngle => CalibrationMethod::FourAngle,
                 Method::ThreeAngle => CalibrationMethod::ThreeAngle,
             },

@@ -55,12 +55,6 @@ impl NoiseRatio {
     }
 }
 
-impl Default for NoiseRatio {
-    fn default() -> Self {
-        Self::EQUAL
-    }
-}
-
 /// Source of the noise ratio of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseFrom {

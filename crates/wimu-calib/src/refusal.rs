@@ -6,8 +6,6 @@ use core::fmt;
 
 use wimu_model::ModelError;
 
-use crate::Model;
-
 /// Why the data do not support a result, and what to do.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
@@ -133,24 +131,13 @@ impl Refusal {
         Self::new(Reason::Axis { axis, clipped: false }, text)
     }
 
-    /// Whether more poses, or fewer parameters, would help.
+    /// Whether more poses, or priors, would help.
     pub fn needs_poses(&self) -> bool {
         let Self { reason, .. } = self;
         matches!(
             reason,
             Reason::TooFew { .. } | Reason::NotObservable | Reason::PoorPrediction { .. }
         )
-    }
-
-    /// Adds the largest model smaller than `model` that `supported` accepts.
-    pub(crate) fn advise(mut self, model: Model, supported: impl Fn(Model) -> bool) -> Self {
-        if self.needs_poses() {
-            let mut smaller = core::iter::successors(model.smaller(), |model| model.smaller());
-            if let Some(model) = smaller.find(|model| supported(*model)) {
-                self.text += &format!(" These poses support the {model}.");
-            }
-        }
-        self
     }
 }
 
@@ -185,17 +172,16 @@ pub enum UnitHint {
 impl fmt::Display for UnitHint {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::G => "which looks like g, not m/s²: multiply by 9.80665",
+            Self::G => "which looks like g, not m/s²: name the unit g (`--units g`)",
             Self::Mps2TakenForG => {
-                "which looks like m/s² converted as if it were g: declare the unit as m/s²; or the \
+                "which looks like m/s² converted as if it were g: `--units m/s2`; or the \
                  sensitivity is ten times too small"
             }
             Self::MilliGOrCounts => {
-                "which looks like mg or counts, not m/s²: multiply mg by 0.00980665, or divide by the \
-                 sensitivity in LSB per m/s²"
+                "which looks like mg or counts, not m/s²: name the unit mg or LSB (`--units mg`)"
             }
             Self::Counts => {
-                "which looks like counts, not m/s²: divide by the sensitivity in LSB per m/s²"
+                "which looks like counts, not m/s²: name the unit LSB (`--units LSB`)"
             }
             Self::Sensitivity => {
                 "which is too far from gravity for a scale factor: the sensitivity is wrong"

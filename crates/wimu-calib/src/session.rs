@@ -1,6 +1,6 @@
 //! Live calibration: recommended orientations and captured poses.
 
-use crate::{Guide, Model, Orientation, Pose, PoseFinder};
+use crate::{Guide, Orientation, Pose, PoseFinder};
 
 /// Duration of a hold that is captured as a pose, s.
 const CAPTURE_S: f64 = 1.5;
@@ -34,9 +34,9 @@ pub enum Phase {
 /// are enough for a calibration; room for `POSES` of them.
 ///
 /// ```
-/// use wimu_calib::{Gravity, Model, Phase, Session, multi_position};
+/// use wimu_calib::{Gravity, MultiPosition, Phase, Session, multi_position};
 ///
-/// let mut session = Session::<16>::new(100.0, Model::Full9, 12);
+/// let mut session = Session::<16>::new(100.0, 12);
 /// let mut noise = 0.01;
 /// while let Some(next) = session.next() {
 ///     // A person who follows the advice: half a second of motion, three of holding still.
@@ -51,14 +51,13 @@ pub enum Phase {
 ///     }
 /// }
 /// assert_eq!(session.push([0.0, 0.0, 9.8]), Phase::Done);
-/// let estimate = multi_position(session.poses(), Gravity::UNKNOWN_PLACE, Model::Full9)?;
+/// let estimate = multi_position(session.poses(), Gravity::UNKNOWN_PLACE, MultiPosition::default())?;
 /// assert_eq!(estimate.poses, 12);
 /// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Session<const POSES: usize> {
     finder: PoseFinder,
-    model: Model,
     guide: Guide,
     poses: heapless::Vec<Pose, POSES>,
     wanted: usize,
@@ -72,13 +71,11 @@ pub struct Session<const POSES: usize> {
 }
 
 impl<const POSES: usize> Session<POSES> {
-    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`; recommendations are
-    /// for `model`.
-    pub fn new(rate_hz: f64, model: Model, wanted: usize) -> Self {
+    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`.
+    pub fn new(rate_hz: f64, wanted: usize) -> Self {
         Self {
             finder: PoseFinder::new(rate_hz),
-            model,
-            guide: Guide::new(model),
+            guide: Guide::default(),
             poses: heapless::Vec::new(),
             wanted: wanted.min(POSES),
             // NaN becomes 0.
@@ -136,7 +133,7 @@ impl<const POSES: usize> Session<POSES> {
     /// Removes the latest pose and returns it. If the sensor still rests, that hold is not captured again.
     pub fn undo(&mut self) -> Option<Pose> {
         let removed = self.poses.pop()?;
-        self.guide = Guide::after(self.model, &self.poses);
+        self.guide = Guide::after(&self.poses);
         self.taken = false;
         self.ignored = self.finder.held().is_some();
         Some(removed)

@@ -241,16 +241,8 @@ fn estimate<'a>(
     let revisits = Revisits::of(&sides, &a, g, placement_sd_rad, placement_rad * g);
     let covariance_with = |extra: f64| covariance(&sides, &a, g, tilts, extra);
     let mut covariance = covariance_with(revisits.variance);
-    let known = covariance_with(0.0);
-    let dof_of = |parameter: Parameter| {
-        let all = covariance.get(parameter, parameter);
-        let share = (all - known.get(parameter, parameter)) / all;
-        if share > 0.0 { revisits.dof / (share * share) } else { f64::INFINITY }
-    };
-    let diagonal = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
-    let interval_dof = diagonal
-        .map(dof_of)
-        .fold(if contradicted { PLACEMENT_DOF as f64 } else { f64::INFINITY }, f64::min);
+    let seen = if contradicted { PLACEMENT_DOF as f64 } else { f64::INFINITY };
+    let interval_dof = revisits.interval_dof(&covariance, &covariance_with(0.0)).min(seen);
     let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
@@ -259,19 +251,8 @@ fn estimate<'a>(
     let rejected =
         (0..).zip(poses).filter(|(_, (face, _))| face.is_none()).map(|(k, _)| k).collect();
     let fitted: usize = counts.iter().sum();
-    let loo_rms_mps2 = counts.iter().all(|&count| count > 1).then(|| {
-        let squares: f64 = used
-            .clone()
-            .map(|(side, pose)| {
-                let mut others = sides;
-                others[side].add(pose, -1.0);
-                let (bias, a) = solve(&others, g);
-                let left = force::residual(&terms::theta(bias, a), pose, g);
-                left * left
-            })
-            .sum();
-        libm::sqrt(squares / fitted as f64)
-    });
+    let has_others = counts.iter().all(|&count| count > 1);
+    let loo_rms_mps2 = has_others.then(|| left_out(used.clone(), &sides, fitted, g));
     let method = Method::SixPosition {
         placement_sd_rad,
         declared_sd_rad: placement.sd_rad(),
@@ -293,6 +274,23 @@ fn estimate<'a>(
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
         ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
+}
+
+/// Leave-one-out error over the `fitted` poses, m/s² rms.
+fn left_out<'a>(
+    used: impl Iterator<Item = (usize, &'a Pose)>,
+    sides: &Sides,
+    fitted: usize,
+    gravity_mps2: f64,
+) -> f64 {
+    let residual = |(side, pose): (usize, &Pose)| {
+        let mut others = *sides;
+        others[side].add(pose, -1.0);
+        let (bias, a) = solve(&others, gravity_mps2);
+        force::residual(&terms::theta(bias, a), pose, gravity_mps2)
+    };
+    let squares: f64 = used.map(residual).map(|left| left * left).sum();
+    libm::sqrt(squares / fitted as f64)
 }
 
 /// The squared placement error that each pair of sides shows in two degrees of freedom, rad²: the
@@ -395,6 +393,17 @@ struct Revisits {
 }
 
 impl Revisits {
+    /// Fewest degrees of freedom of a bias or scale factor, whose covariance without the variance between poses is `known`.
+    fn interval_dof(&self, all: &Covariance, known: &Covariance) -> f64 {
+        let dof_of = |parameter: Parameter| {
+            let variance = all.get(parameter, parameter);
+            let share = (variance - known.get(parameter, parameter)) / variance;
+            if share > 0.0 { self.dof / (share * share) } else { f64::INFINITY }
+        };
+        let diagonal = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
+        diagonal.map(dof_of).fold(f64::INFINITY, f64::min)
+    }
+
     fn of(sides: &Sides, a: &Matrix, g: f64, placement_rad: f64, seen_mps2: f64) -> Self {
         let tilt = placement_rad * placement_rad;
         let sixth = 1.0 / 6.0;

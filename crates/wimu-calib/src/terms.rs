@@ -121,8 +121,8 @@ pub(crate) fn triple(theta: &Theta, first: usize) -> [f64; 3] {
     [theta[first], theta[first + 1], theta[first + 2]]
 }
 
-/// A term that [`multi_position_with`](crate::multi_position_with) can fit in addition to a
-/// [`Model`](crate::Model); three parameters each, one per axis.
+/// A term that [`multi_position`](crate::multi_position) can fit in addition to the nine parameters; three
+/// parameters each, one per axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Term {
     /// Linear drift of the bias over the session.
@@ -139,6 +139,12 @@ impl Term {
     /// All of them.
     pub const ALL: [Self; 4] =
         [Self::Drift, Self::BiasTemperature, Self::ScaleTemperature, Self::Quadratic];
+
+    /// Whether it is fitted with a prior where the poses may show it. The quadratic term hardly shows at 1 g: it would only
+    /// widen the intervals of the bias.
+    pub(crate) fn has_usual_prior(self) -> bool {
+        self != Self::Quadratic
+    }
 }
 
 impl fmt::Display for Term {
@@ -162,11 +168,6 @@ impl Terms {
     /// The empty set.
     pub const NONE: Self = Self(0);
 
-    /// Whether all of `others` are in the set.
-    pub const fn include(self, others: Self) -> bool {
-        self.0 & others.0 == others.0
-    }
-
     pub(crate) const fn moves_with_temperature(self) -> bool {
         self.contains(Term::BiasTemperature) || self.contains(Term::ScaleTemperature)
     }
@@ -174,10 +175,5 @@ impl Terms {
     /// Number of parameters of the terms.
     pub fn parameters(self) -> usize {
         3 * self.0.count_ones() as usize
-    }
-
-    /// Every set of terms.
-    pub(crate) fn every() -> impl Iterator<Item = Self> {
-        (0..1 << Term::ALL.len()).map(Self)
     }
 }

@@ -2,22 +2,10 @@
 
 use crate::common;
 
-use common::{G, Random, exact, pose, twelve};
-use wimu_calib::{
-    Estimate, Model, MultiPosition, Parameter, Pose, Reason, Refusal, Terms, best_model,
-    multi_position_with,
-};
+use common::{AUTO, G, ROBUST, Random, exact, pose, twelve};
+use wimu_calib::{Estimate, Parameter, Pose, Reason, Refusal, multi_position};
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, trials};
-
-fn nine(poses: &[Pose]) -> Result<Estimate, Refusal> {
-    let what = MultiPosition { model: Model::Full9, reject: true, ..MultiPosition::default() };
-    multi_position_with(poses, exact(), what)
-}
-
-fn auto(poses: &[Pose]) -> Result<Estimate, Refusal> {
-    best_model(poses, exact(), Terms::NONE, true)
-}
 
 /// A usual sensor, and `ups` seen by it to `noise`, m/s².
 fn session(random: &mut Random, ups: &[[f64; 3]], noise: f64) -> (ErrorModel, Vec<Pose>) {
@@ -102,18 +90,19 @@ fn one_bad_pose_of_few_is_named_or_the_answer_refused_and_good_ones_hardly_ever(
     let seeds = trials(1000);
     let (mut silent, mut outside) = (Vec::new(), Vec::new());
     let (mut contradicted, mut wrongly) = (Vec::new(), Vec::new());
-    type Fit = fn(&[Pose]) -> Result<Estimate, Refusal>;
-    for (name, fit, count, most_silent) in [
-        ("nine parameters", nine as Fit, 12, 0.16),
-        ("nine parameters", nine, 13, 0.18),
-        ("nine parameters", nine, 14, 0.12),
-        ("nine parameters", nine, 16, 0.09),
-        ("nine parameters", nine, 20, 0.06),
-        ("auto", auto, 12, 0.30),
-        ("auto", auto, 16, 0.09),
+    let nine = |count: usize, most_silent: f64| ("nine parameters", ROBUST, count, most_silent);
+    let auto = |count: usize, most_silent: f64| ("auto", AUTO, count, most_silent);
+    for (name, what, count, most_silent) in [
+        nine(12, 0.16),
+        nine(13, 0.18),
+        nine(14, 0.12),
+        nine(16, 0.09),
+        nine(20, 0.06),
+        auto(12, 0.30),
+        auto(16, 0.09),
     ] {
         let [good, bad] = [0.0, 1.0].map(|off| {
-            let mut what = Count::default();
+            let mut counts = Count::default();
             for seed in 0..seeds as u64 {
                 let mut random = Random::new(seed);
                 let ups: Vec<[f64; 3]> = (0..count).map(|_| random.direction()).collect();
@@ -123,9 +112,10 @@ fn one_bad_pose_of_few_is_named_or_the_answer_refused_and_good_ones_hardly_ever(
                 for (y, way) in poses[bad].mean_mps2.iter_mut().zip(way) {
                     *y += off * way;
                 }
-                what.add(fit(&poses), (off > 0.0).then_some(bad), &truth);
+                let answer = multi_position(&poses, exact(), what);
+                counts.add(answer, (off > 0.0).then_some(bad), &truth);
             }
-            what
+            counts
         });
         println!("{name}, {count} poses anywhere of 5 mm/s², {seeds} times:");
         println!("  all good: {good}");
@@ -152,12 +142,12 @@ fn a_bad_pose_that_cannot_be_spared_is_named_with_what_to_do() {
     let mut random = Random::new(4);
     let (_, mut poses) = session(&mut random, &twelve(), 0.003);
     poses[5].mean_mps2 = poses[5].mean_mps2.map(|y| 1.03 * y);
-    let refused = nine(&poses).expect_err("contradicted");
+    let refused = multi_position(&poses, exact(), ROBUST).expect_err("contradicted");
     assert_eq!(refused.reason, Reason::Contradicted { index: 5, or: Some(6) });
     let said = refused.to_string();
     assert!(said.contains("Pose 5 (from 0)") && said.contains("add two"), "{said}");
     assert!(matches!(
-        auto(&poses),
+        multi_position(&poses, exact(), AUTO),
         Err(Refusal { reason: Reason::Contradicted { index: 5, .. }, .. })
     ));
 }

@@ -3,10 +3,10 @@
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, exact, parameters, pose, ups};
+use common::{DrawModel as _, G, NINE, Random, exact, parameters, pose, ups};
 use wimu_calib::{
-    Combined, Estimate, Gravity, Group, Model, MultiPosition, Parameter, Placement, Pose, Reason,
-    Refusal, Term, Terms, combine, multi_position, multi_position_with, six_position,
+    Combined, Estimate, Gravity, Group, MultiPosition, Parameter, Placement, Pose, Reason, Refusal,
+    Term, Terms, combine, multi_position, six_position,
 };
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, draws, figure, rms_ratio_can_be, trials};
@@ -62,7 +62,7 @@ impl Sensor {
     }
 
     fn session(&mut self, celsius: Option<f64>) -> Estimate {
-        multi_position(&self.poses(celsius, G), exact(), Model::Full9).expect("an answer")
+        multi_position(&self.poses(celsius, G), exact(), NINE).expect("an answer")
     }
 
     /// `count` sessions, evenly over a range of temperatures about 25 °C; without any for 0 K.
@@ -182,7 +182,6 @@ fn the_standard_deviation_between_sessions_is_estimated_without_bias() {
             let k = group as usize;
             ratios[k] += (found.between_sd[k] / LARGE[k]).powi(2) / sensors as f64;
         }
-        assert!(found.within_sd[0] < 0.002 && found.within_sd[1] < 3e-4);
     }
     for ratio in ratios {
         assert!(rms_ratio_can_be(ratio.sqrt(), 12 * sensors, 1.0..=1.0), "{ratios:?}");
@@ -197,7 +196,7 @@ fn an_error_of_gravity_is_common_to_all_sessions() {
         let gravity = Gravity::UNKNOWN_PLACE;
         let local = G + gravity.sd_mps2() * sensor.random.normal();
         let sessions: Vec<Estimate> = (0..5)
-            .map(|_| multi_position(&sensor.poses(None, local), exact(), Model::Full9))
+            .map(|_| multi_position(&sensor.poses(None, local), exact(), NINE))
             .collect::<Result<_, _>>()
             .expect("an answer");
         let found = combine(&sessions, gravity).expect("an answer");
@@ -222,8 +221,6 @@ fn sessions_that_do_not_go_together_are_refused() {
 
     let poses = sensor.poses(Some(25.0), G);
     let with = |estimate: Estimate| combine(&[sessions[0].clone(), estimate], exact());
-    let smaller = multi_position(&poses, exact(), Model::BiasScale6).expect("an answer");
-    assert!(matches!(with(smaller), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     let sides: Vec<Pose> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         .into_iter()
         .flat_map(|up| [up, up.map(|c: f64| -c)])
@@ -235,27 +232,10 @@ fn sessions_that_do_not_go_together_are_refused() {
     assert_eq!((both.dof, both.between_sd), ([3.0, 3.0, 6.0], [0.0; 3]));
     let what =
         MultiPosition { terms: Terms::NONE.with(Term::Quadratic), ..MultiPosition::default() };
-    let quadratic = multi_position_with(&poses, exact(), what).expect("an answer");
+    let quadratic = multi_position(&poses, exact(), what).expect("an answer");
     assert!(matches!(with(quadratic), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     for gravity in [Gravity::UNKNOWN_PLACE, Gravity::new(9.81, 0.0).expect("gravity")] {
-        let other = multi_position(&poses, gravity, Model::Full9).expect("an answer");
+        let other = multi_position(&poses, gravity, NINE).expect("an answer");
         assert!(matches!(with(other), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
-    }
-}
-
-#[test]
-fn three_parameters_keep_what_is_not_observed() {
-    let mut sensor = Sensor::new(2, [0.03, 0.0, 0.0], false);
-    sensor.at_25 = ErrorModel::default();
-    let sessions: Vec<Estimate> = (0..3)
-        .map(|_| multi_position(&sensor.poses(None, G), exact(), Model::Bias3))
-        .collect::<Result<_, _>>()
-        .expect("an answer");
-    let found = combine(&sessions, exact()).expect("an answer");
-    assert_eq!(found.dof, [6.0, 0.0, 0.0]);
-    assert!(found.between_sd[0] > 0.005 && found.between_sd[1..] == [0.0; 2]);
-    for i in 3..12 {
-        let parameter = Parameter::ALL[i];
-        assert_eq!(found.covariance.sd(parameter), sessions[0].covariance.sd(parameter));
     }
 }

@@ -4,10 +4,10 @@ use std::f64::consts::{PI, TAU};
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, cross, exact, norm};
+use common::{DrawModel as _, G, NINE, Random, cross, exact, norm};
 use wimu_calib::{
-    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeSession, Model,
-    MultiPosition, Pose, Reason, Refusal, SixAxisSample, TurnFault, multi_position_with,
+    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeSession, Pose, Reason,
+    Refusal, SixAxisSample, TurnFault, multi_position,
 };
 use wimu_model::{ErrorModel, GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, draws};
@@ -140,8 +140,7 @@ impl Simulated {
 
     /// The accelerometer, calibrated with the same rests.
     fn accelerometer(&self) -> Option<AccelerometerCalibration> {
-        let what = MultiPosition { model: Model::Full9, ..MultiPosition::default() };
-        let estimate = multi_position_with(&self.poses, exact(), what).ok()?;
+        let estimate = multi_position(&self.poses, exact(), NINE).ok()?;
         Some(AccelerometerCalibration::from(&estimate))
     }
 

@@ -2,11 +2,10 @@
 
 use crate::common;
 
-use common::{cross, norm, recording, unit, vector};
+use common::{ROBUST, cross, norm, recording, unit, vector};
 use wimu_calib::{
-    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, MagneticPose, Model,
-    MultiPosition, Pose, Reason, Refusal, SixAxisSample, find_poses, magnetometer,
-    multi_position_with,
+    AccelerometerCalibration, Gravity, GyroscopeEstimate, GyroscopeSession, MagneticPose, Pose,
+    Reason, Refusal, SixAxisSample, find_poses, magnetometer, multi_position,
 };
 use wimu_model::{GyroscopeModel, GyroscopeTerms, SpecificForceMps2};
 use wimu_testkit::{Lane, figure};
@@ -103,9 +102,8 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
         let units = [9.80665 / 2048.0, DEGREE / 16.4];
         let samples = samples(&rows, [column, column + 3], units);
         let poses = rests(&samples, 62.5);
-        let what = MultiPosition { model: Model::Full9, reject: true, ..MultiPosition::default() };
         let fitted =
-            multi_position_with(&poses, Gravity::new(9.818, 0.001).unwrap(), what).expect("poses");
+            multi_position(&poses, Gravity::new(9.818, 0.001).unwrap(), ROBUST).expect("poses");
         let accelerometer = AccelerometerCalibration::from(&fitted);
         let all = estimate(&samples, &poses, &accelerometer, full_scale);
         println!(

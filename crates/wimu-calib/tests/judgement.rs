@@ -2,21 +2,19 @@
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, exact, jitter, parameters, pose, twelve, ups};
+use common::{
+    AUTO, DrawModel as _, G, NINE, ROBUST, Random, exact, jitter, parameters, pose, twelve, ups,
+};
 use proptest::prelude::*;
 use wimu_calib::{
-    Face, Gravity, Model, MultiPosition, Orientation, Placement, Pose, Reason, Refusal, Term,
-    Terms, best_model, four_angle, multi_position, multi_position_with, six_position, three_angle,
+    Face, MultiPosition, Orientation, Placement, Pose, Reason, Refusal, Term, Terms, four_angle,
+    multi_position, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, trials};
 
 fn with(terms: Terms) -> MultiPosition {
     MultiPosition { terms, ..MultiPosition::default() }
-}
-
-fn rejecting() -> MultiPosition {
-    MultiPosition { reject: true, ..MultiPosition::default() }
 }
 
 proptest! {
@@ -54,7 +52,7 @@ proptest! {
             })
             .collect();
         let all: Terms = Term::ALL.into_iter().collect();
-        let estimate = multi_position_with(&poses, exact(), with(all)).expect("an answer");
+        let estimate = multi_position(&poses, exact(), with(all)).expect("an answer");
         prop_assert!(estimate.rms_mps2 < 1e-7, "{}", estimate.rms_mps2);
         let found = estimate.model.terms();
         let warmer = found.temperature.reference_c - 30.0;
@@ -95,15 +93,17 @@ proptest! {
             .filter(|(k, _)| terms >> k & 1 == 1)
             .map(|(_, term)| term)
             .collect();
-        for model in Model::ALL {
-            for reject in [false, true] {
-                match multi_position_with(&poses, exact(), MultiPosition { model, terms, reject }) {
-                    Ok(estimate) => prop_assert!(estimate.rms_mps2.is_finite()),
-                    Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
+        for what in [NINE, ROBUST, AUTO] {
+            match multi_position(&poses, exact(), MultiPosition { terms, ..what }) {
+                Ok(estimate) => {
+                    let known = estimate.covariance.matrix();
+                    prop_assert!(known.iter().flatten().all(|c| c.is_finite()));
+                    prop_assert!(estimate.rms_mps2.is_finite());
                 }
+                Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
             }
         }
-        for method in [four_angle, three_angle] {
+        for method in [four_angle, three_angle, six_position] {
             match method(&poses, exact(), Placement::BY_HAND) {
                 Ok(estimate) => prop_assert!(estimate.rms_mps2.is_finite()),
                 Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
@@ -141,57 +141,6 @@ fn the_papers_six_position_equations_are_the_special_case_of_squared_poses() {
 }
 
 #[test]
-fn a_term_is_kept_where_it_is_there_and_left_out_where_it_is_not() {
-    let [mut kept, mut wrongly, mut better, mut answered] = [Coverage::default(); 4];
-    for seed in 0..trials(1000) as u64 {
-        let mut random = Random::new(seed);
-        let truth = random.model(true);
-        let drift = [0, 1, 2].map(|_| 0.02 + random.within(0.01));
-        for drifts in [true, false] {
-            let poses: Vec<Pose> = ups(&mut random, 8)
-                .into_iter()
-                .enumerate()
-                .map(|(k, up)| {
-                    let mut pose = pose(&truth, G, up);
-                    let progress = k as f64 / 19.0 - 1.0;
-                    for axis in 0..3 {
-                        pose.mean_mps2[axis] += if drifts { drift[axis] * progress } else { 0.0 };
-                    }
-                    jitter(&mut random, &mut pose, 0.002);
-                    pose.time_s = progress;
-                    pose
-                })
-                .collect();
-            let auto = best_model(&poses, exact(), Terms::NONE, true);
-            let plain = multi_position(&poses, exact(), Model::Full9);
-            answered.count(auto.is_ok() && plain.is_ok());
-            let (Ok(auto), Ok(plain)) = (auto, plain) else {
-                continue;
-            };
-            better.count(auto.loo_rms_mps2 <= plain.loo_rms_mps2);
-            let counted = if drifts { &mut kept } else { &mut wrongly };
-            counted.count(auto.terms.contains(Term::Drift));
-        }
-    }
-    coverage_figure("`auto` keeps a drift that is there", &[kept], 0.95..=1.0);
-    coverage_figure("`auto` keeps a drift that is not there", &[wrongly], 0.0..=0.15);
-    coverage_figure(
-        "`auto` has a leave-one-out error of nine parameters or less",
-        &[better],
-        0.99..=1.0,
-    );
-    coverage_figure(
-        "20 poses, drift or none: nine parameters and `auto` answer",
-        &[answered],
-        0.99..=1.0,
-    );
-    answered.assert_can_be(0.99..=1.0, "answered");
-    better.assert_can_be(0.99..=1.0, "leave-one-out error");
-    kept.assert_can_be(0.95..=1.0, "a drift that is there");
-    wrongly.assert_can_be(0.0..=0.15, "one that is not");
-}
-
-#[test]
 fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
     let [mut found, mut wrongly, mut answered, mut good] = [Coverage::default(); 4];
     for seed in 0..trials(1000) as u64 {
@@ -208,7 +157,7 @@ fn bad_poses_are_named_and_left_out_and_good_ones_are_not() {
             let longer = 1.0 + 0.02 * (1.0 + random.uniform());
             poses[k].mean_mps2 = poses[k].mean_mps2.map(|y| y * longer);
         }
-        let answer = multi_position_with(&poses, exact(), rejecting());
+        let answer = multi_position(&poses, exact(), ROBUST);
         answered.count(answer.is_ok());
         let Ok(estimate) = answer else {
             continue;
@@ -262,17 +211,16 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
                 }
             };
         }
-        for model in Model::ALL {
-            let what = MultiPosition { model, ..rejecting() };
-            let answer = multi_position_with(&poses, exact(), what);
-            if model == Model::Full9 {
+        for what in [ROBUST, AUTO] {
+            let answer = multi_position(&poses, exact(), what);
+            if what == ROBUST {
                 answered.count(answer.is_ok());
             }
             let Ok(estimate) = answer else {
                 continue;
             };
             let rejected = &estimate.rejected;
-            let spare = (count / 5).min(count.saturating_sub(model.parameters() + 3)).min(16);
+            let spare = (count / 5).min(count - 3).min(16);
             assert!(rejected.len() <= spare, "{seed}: {rejected:?} of {count}");
             assert_eq!(estimate.poses + rejected.len(), count);
             assert!(estimate.worst_sd_mps2.is_finite() && estimate.condition.is_finite());
@@ -280,7 +228,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
             once.sort_unstable();
             once.dedup();
             assert_eq!(once.len(), rejected.len());
-            if model == Model::Full9 {
+            if what == ROBUST {
                 // Truth within five standard deviations of unseen orientations, or within figures that
                 // say so.
                 let error = (0..20)
@@ -325,7 +273,7 @@ fn noisy_and_short_poses_count_less() {
             .collect();
         let equal: Vec<Pose> = poses.iter().map(|pose| Pose::from_mean(pose.mean_mps2)).collect();
         let error = |poses: &[Pose]| {
-            let estimate = multi_position(poses, exact(), Model::Full9).expect("an answer");
+            let estimate = multi_position(poses, exact(), NINE).expect("an answer");
             let found = parameters(&estimate.model);
             (0..3).map(|i| (found[i] - parameters(&truth)[i]).powi(2)).sum::<f64>()
         };
@@ -351,8 +299,7 @@ fn one_pose_in_which_an_axis_falls_silent_at_its_end_is_saturated() {
     };
     let mut poses: Vec<Pose> =
         twelve().into_iter().chain([[0.0, 1.0, 0.0]]).map(|up| seen(&mut random, up)).collect();
-    let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let fit = |poses: &[Pose]| best_model(poses, gravity, Terms::NONE, true);
+    let fit = |poses: &[Pose]| multi_position(poses, exact(), AUTO);
     assert!(fit(&poses).is_ok());
     poses[12].sd_mps2[1] = 0.0;
     poses[12].mean_mps2[1] -= 0.1;
@@ -384,16 +331,13 @@ fn a_stuck_or_saturated_axis_is_refused_with_every_model() {
         changed
     };
     let (stuck, clipped) = (with(&|_| 9.0), with(&|y| y.clamp(-8.0, 8.0)));
-    for model in Model::ALL {
-        for reject in [false, true] {
-            let what = MultiPosition { model, reject, ..MultiPosition::default() };
-            assert!(multi_position_with(&stuck, exact(), what).is_err(), "{model}");
-            let refusal = multi_position_with(&clipped, exact(), what).expect_err("a refusal");
-            println!("{model}: {refusal}");
-        }
+    for what in [NINE, ROBUST, AUTO] {
+        assert!(multi_position(&stuck, exact(), what).is_err(), "{what:?}");
+        let refusal = multi_position(&clipped, exact(), what).expect_err("a refusal");
+        println!("{what:?}: {refusal}");
     }
     assert!(matches!(
-        multi_position(&clipped, exact(), Model::Full9),
+        multi_position(&clipped, exact(), NINE),
         Err(Refusal { reason: Reason::Axis { clipped: true, axis: 1 }, .. })
     ));
 }
@@ -404,7 +348,7 @@ fn terms_that_nothing_shows_are_refused() {
     let truth = random.model(true);
     let poses: Vec<Pose> = ups(&mut random, 10).into_iter().map(|up| pose(&truth, G, up)).collect();
     for term in [Term::Drift, Term::BiasTemperature, Term::ScaleTemperature] {
-        let refused = multi_position_with(&poses, exact(), with(Terms::NONE.with(term)));
+        let refused = multi_position(&poses, exact(), with(Terms::NONE.with(term)));
         assert!(matches!(refused, Err(Refusal { reason: Reason::NotObservable, .. })));
     }
 }

@@ -2,12 +2,11 @@
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, exact, norm, parameters, pose, twelve};
-use proptest::prelude::*;
-use wimu_calib::{
-    Gravity, Model, MultiPosition, Parameter, Pose, Reason, Refusal, UnitHint, multi_position,
-    multi_position_with,
+use common::{
+    AUTO, DrawModel as _, G, NINE, ROBUST, Random, exact, norm, parameters, pose, twelve,
 };
+use proptest::prelude::*;
+use wimu_calib::{Gravity, Pose, Reason, Refusal, UnitHint, multi_position};
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Lane, figure, rms_ratio_can_be, trials};
 
@@ -34,7 +33,7 @@ proptest! {
         let mut random = Random::new(seed);
         let truth = random.model(true);
         let poses = spread(&mut random, &truth, more);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let estimate = multi_position(&poses, exact(), NINE).expect("an answer");
         for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
             prop_assert!((found - truth).abs() < 1e-9, "{found} {truth}");
         }
@@ -58,30 +57,9 @@ proptest! {
         }
         let truth = ErrorModel::new(terms).expect("within bounds");
         let poses = spread(&mut random, &truth, 4);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let estimate = multi_position(&poses, exact(), NINE).expect("an answer");
         for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
             prop_assert!((found - truth).abs() < 1e-8, "{found} {truth}");
-        }
-    }
-
-    #[test]
-    fn smaller_models_recover_the_truth_that_they_can_express(seed: u64) {
-        let mut random = Random::new(seed);
-        let mut terms = ErrorTerms {
-            bias_mps2: [random.within(3.0), random.within(3.0), random.within(3.0)],
-            ..ErrorTerms::default()
-        };
-        let bias_only = ErrorModel::new(terms).expect("within bounds");
-        for axis in 0..3 {
-            terms.matrix[axis][axis] = 1.0 + random.within(0.2);
-        }
-        let with_scale = ErrorModel::new(terms).expect("within bounds");
-        for (model, truth) in [(Model::Bias3, bias_only), (Model::BiasScale6, with_scale)] {
-            let poses = spread(&mut random, &truth, 2);
-            let estimate = multi_position(&poses, exact(), model).expect("an answer");
-            for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
-                prop_assert!((found - truth).abs() < 1e-9, "{model}: {found} {truth}");
-            }
         }
     }
 
@@ -90,45 +68,12 @@ proptest! {
         let mut random = Random::new(seed);
         let truth = random.model(false);
         let poses = spread(&mut random, &truth, 5);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let estimate = multi_position(&poses, exact(), NINE).expect("an answer");
         for _ in 0..20 {
             let unseen = pose(&truth, G, random.direction());
             prop_assert!(estimate.residual_mps2(&unseen).abs() < 1e-8);
         }
     }
-
-    #[test]
-    fn any_garbage_is_refused_or_answered_and_never_panics(
-        values in proptest::collection::vec(
-            [garbage(), garbage(), garbage()],
-            0..40,
-        ),
-        samples: u32,
-        sd in garbage(),
-    ) {
-        let poses: Vec<Pose> = values
-            .into_iter()
-            .map(|mean_mps2| Pose { mean_mps2, sd_mps2: [sd; 3], samples, ..Pose::default() })
-            .collect();
-        for model in [Model::Bias3, Model::BiasScale6, Model::Full9] {
-            match multi_position(&poses, Gravity::UNKNOWN_PLACE, model) {
-                Ok(estimate) => {
-                    prop_assert!(estimate.rms_mps2.is_finite());
-                    prop_assert!(estimate.loo_rms_mps2.is_some_and(f64::is_finite));
-                    prop_assert!(estimate.covariance.matrix().iter().flatten().all(|c| c.is_finite()));
-                }
-                Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
-            }
-        }
-    }
-}
-
-fn garbage() -> impl Strategy<Value = f64> {
-    prop_oneof![
-        6 => -12.0..12.0_f64,
-        2 => prop_oneof![Just(0.0), Just(9.80665), Just(-9.80665)],
-        1 => any::<f64>(),
-    ]
 }
 
 #[test]
@@ -143,7 +88,7 @@ fn the_worst_orientation_is_predicted_as_badly_as_said() {
     for _ in 0..draws {
         let mut poses = clean.clone();
         add_noise(&mut random, &mut poses, 0.005);
-        let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+        let estimate = multi_position(&poses, exact(), NINE).expect("an answer");
         said += estimate.worst_sd_mps2.powi(2);
         for (square, check) in squares.iter_mut().zip(&checks) {
             *square += estimate.residual_mps2(check).powi(2);
@@ -166,57 +111,12 @@ fn too_few_poses_are_refused() {
     let mut random = Random::new(10);
     let truth = random.model(true);
     let poses = spread(&mut random, &truth, 0);
-    for (model, need) in [(Model::Bias3, 4), (Model::BiasScale6, 7), (Model::Full9, 10)] {
-        let refused = multi_position(&poses[..need - 1], exact(), model);
+    for (what, need) in [(AUTO, 4), (NINE, 10)] {
+        let refused = multi_position(&poses[..need - 1], exact(), what);
         let reason = Reason::TooFew { have: need - 1, need };
         assert_eq!(refused.map_err(|refusal| refusal.reason), Err(reason));
     }
-    assert!(multi_position(&[], exact(), Model::Bias3).is_err());
-}
-
-#[test]
-fn a_smaller_model_is_advised_where_the_poses_support_it_and_nowhere_else() {
-    let (mut advised, mut none) = (0, 0);
-    let sets = trials(3000);
-    for seed in 0..sets as u64 {
-        let mut random = Random::new(seed);
-        let truth = random.model(true);
-        // Few poses, or many in a plane or about one direction.
-        let count = 3 + (seed as usize / 3) % 14;
-        let poses: Vec<Pose> = (0..count)
-            .map(|_| {
-                let [x, y, z] = random.direction();
-                let up = match seed % 3 {
-                    0 => [x, y, z],
-                    1 => [x, y, 0.05 * z],
-                    _ => [0.2 * x, 0.2 * y, z],
-                };
-                let mut pose = pose(&truth, G, common::unit(up));
-                pose.mean_mps2 = pose.mean_mps2.map(|y| y + 0.003 * random.normal());
-                pose
-            })
-            .collect();
-        let smaller = [Model::BiasScale6, Model::Bias3];
-        let supports = |model: &Model| multi_position(&poses, exact(), *model).is_ok();
-        let Err(refusal) = multi_position(&poses, exact(), Model::Full9) else {
-            continue;
-        };
-        if refusal.needs_poses() {
-            let instead = smaller.into_iter().find(supports);
-            let said = instead.map(|model| format!("support the {model}"));
-            assert_eq!(refusal.text.contains("support the"), instead.is_some(), "{refusal}");
-            assert!(said.is_none_or(|said| refusal.text.contains(&said)), "{refusal}");
-            advised += usize::from(instead.is_some());
-            none += usize::from(instead.is_none());
-        }
-    }
-    figure(
-        "a smaller model is advised where the poses support it, only there",
-        format!("all of {advised}, {none} without"),
-        "all",
-        true,
-    );
-    assert!(advised * 20 > sets && none * 20 > sets);
+    assert!(multi_position(&[], exact(), AUTO).is_err());
 }
 
 #[test]
@@ -243,7 +143,7 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
         })
         .collect();
     for (poses, have) in [(&same, Some(1)), (&plane, None), (&faces, None)] {
-        let Err(refusal) = multi_position(poses, exact(), Model::Full9) else {
+        let Err(refusal) = multi_position(poses, exact(), NINE) else {
             panic!("answered");
         };
         println!("{refusal}");
@@ -253,26 +153,20 @@ fn poses_that_do_not_determine_the_model_are_refused_with_its_parameters() {
             reason => assert_eq!(reason, Reason::NotObservable),
         }
     }
-    let refused = |poses| multi_position(poses, exact(), Model::Full9).expect_err("refused").text;
+    let refused = |poses| multi_position(poses, exact(), NINE).expect_err("refused").text;
     let text = refused(&plane);
     assert!(text.contains("Z up") && text.contains("Z down"), "{text}");
     let text = refused(&faces);
     assert!(text.contains("condition number") && text.contains("45°"), "{text}");
-    // Six parameters of six orientations leave nothing to judge them by, however often each was held.
-    assert!(matches!(
-        multi_position(&faces, exact(), Model::BiasScale6),
-        Err(Refusal { reason: Reason::TooFew { have: 6, need: 7 }, .. })
-    ));
-    multi_position(&faces, exact(), Model::Bias3).expect("the smallest model is determined");
+    multi_position(&faces, exact(), AUTO).expect("the bias is determined");
     // The same of a sensor whose axes are not square, and with noise: no fit converges.
     let mut random = Random::new(18);
     let truth = random.model(true);
     let mut faces: Vec<Pose> =
         faces.iter().map(|face| pose(&truth, G, face.mean_mps2.map(|y| y / G))).collect();
     add_noise(&mut random, &mut faces, 0.002);
-    for reject in [false, true] {
-        let what = MultiPosition { reject, ..MultiPosition::default() };
-        let refusal = multi_position_with(&faces, exact(), what).expect_err("a refusal");
+    for what in [NINE, ROBUST] {
+        let refusal = multi_position(&faces, exact(), what).expect_err("a refusal");
         assert!(matches!(refusal, Refusal { reason: Reason::NotObservable, .. }), "{refusal:?}");
     }
 }
@@ -289,7 +183,7 @@ fn a_pose_that_decides_alone_is_named() {
     );
     let mut poses: Vec<Pose> = ups.into_iter().map(|up| pose(&truth, G, up)).collect();
     add_noise(&mut random, &mut poses, 0.003);
-    let refused = multi_position(&poses, exact(), Model::Full9);
+    let refused = multi_position(&poses, exact(), NINE);
     assert!(
         matches!(refused, Err(Refusal { reason: Reason::PoorPrediction { .. }, .. })),
         "{refused:?}"
@@ -311,7 +205,7 @@ fn wrong_units_are_recognised() {
     ] {
         let scaled: Vec<Pose> =
             poses.iter().map(|p| Pose::from_mean(p.mean_mps2.map(|y| y * factor))).collect();
-        match multi_position(&scaled, exact(), Model::Full9) {
+        match multi_position(&scaled, exact(), NINE) {
             Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => assert_eq!(hint, expected),
             other => panic!("{other:?}"),
         }
@@ -327,7 +221,7 @@ fn a_pose_with_a_value_that_is_no_number_is_named() {
     for bad in [f64::NAN, f64::INFINITY] {
         let mut poses = spread(&mut random, &truth, 3);
         poses[6].mean_mps2[1] = bad;
-        let refused = multi_position(&poses, exact(), Model::Full9);
+        let refused = multi_position(&poses, exact(), NINE);
         assert!(matches!(refused, Err(Refusal { reason: Reason::Input { index: 6 }, .. })));
     }
 }
@@ -343,8 +237,8 @@ fn a_dead_axis_and_poses_in_motion_are_refused() {
     let mut moving = spread(&mut random, &truth, 12);
     add_noise(&mut random, &mut moving, 3.0);
     for poses in [dead, moving] {
-        for model in [Model::BiasScale6, Model::Full9] {
-            let refused = multi_position(&poses, exact(), model).expect_err("a refusal");
+        for what in [NINE, AUTO] {
+            let refused = multi_position(&poses, exact(), what).expect_err("a refusal");
             println!("{refused}");
         }
     }
@@ -353,7 +247,7 @@ fn a_dead_axis_and_poses_in_motion_are_refused() {
     for pose in &mut dead {
         pose.mean_mps2[1] = 0.0;
     }
-    let refused = multi_position(&dead, exact(), Model::Full9);
+    let refused = multi_position(&dead, exact(), NINE);
     assert!(matches!(
         refused,
         Err(Refusal { reason: Reason::Axis { clipped: false, axis: 1 }, .. })
@@ -372,30 +266,14 @@ fn poses_in_another_unit_are_named_and_one_far_off_is_left_out() {
     };
     let mut half = good.clone();
     in_g(&mut half[9..]);
-    let refused = multi_position(&half, exact(), Model::Full9);
+    let refused = multi_position(&half, exact(), NINE);
     assert!(matches!(refused, Err(Refusal { reason: Reason::Unit { .. }, .. })));
     let mut one = good;
     add_noise(&mut random, &mut one, 0.003);
     in_g(&mut one[7..8]);
-    let what = MultiPosition { reject: true, ..MultiPosition::default() };
-    let estimate = multi_position_with(&one, exact(), what).expect("an answer");
+    let estimate = multi_position(&one, exact(), ROBUST).expect("an answer");
     assert_eq!(estimate.rejected, [7]);
     assert!((estimate.model.terms().bias_mps2[0] - truth.terms().bias_mps2[0]).abs() < 0.01);
-}
-
-#[test]
-fn what_is_not_observed_is_as_uncertain_as_datasheets_have_it() {
-    let mut random = Random::new(17);
-    let truth = random.model(true);
-    let poses = spread(&mut random, &truth, 12);
-    let three = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::Bias3).expect("an answer");
-    assert_eq!(three.sd().matrix[0], [0.03, 0.0, 0.0]);
-    assert_eq!(three.sd().matrix[2], [0.02, 0.02, 0.03]);
-    assert!(three.not_observed().contains(Parameter::ScaleY));
-    let six = multi_position(&poses, Gravity::UNKNOWN_PLACE, Model::BiasScale6).expect("an answer");
-    // What gravity leaves to choice is 0 by choice.
-    assert_eq!((six.sd().matrix[1][0], six.sd().matrix[0][1]), (0.02, 0.0));
-    assert!(six.sd().matrix[0][0] > 0.001);
 }
 
 #[test]
@@ -408,7 +286,7 @@ fn very_many_poses_are_answered() {
     for pose in &mut poses {
         pose.samples = u32::MAX;
     }
-    let estimate = multi_position(&poses, exact(), Model::Full9).expect("an answer");
+    let estimate = multi_position(&poses, exact(), NINE).expect("an answer");
     for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
         // Six standard deviations.
         assert!((found - truth).abs() < 0.1 / (count as f64).sqrt());
@@ -434,8 +312,7 @@ fn bad_poses_among_very_many_are_left_out() {
                     bad += 1;
                 }
             }
-            let what = MultiPosition { reject: true, ..MultiPosition::default() };
-            let estimate = multi_position_with(&poses, exact(), what).expect("an answer");
+            let estimate = multi_position(&poses, exact(), ROBUST).expect("an answer");
             assert_eq!(estimate.rejected.len(), bad, "{count} {share}");
             assert_eq!(estimate.poses, poses.len() - bad);
             let (found, truth) = (parameters(&estimate.model), parameters(&truth));

@@ -3,9 +3,9 @@
 use crate::common;
 
 use crate::common::DrawModel as _;
-use common::Random;
+use common::{NINE, Random};
 use wimu_calib::{
-    Face, Gravity, Model, Parameter, Placement, Pose, find_poses, multi_position, six_position,
+    Face, Gravity, Parameter, Placement, Pose, find_poses, multi_position, six_position,
 };
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, draws, figure};
@@ -97,7 +97,7 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
             let sides = held(&mut random, &full, &squared, noise);
             let exact = Placement::new(1e-6).expect("a placement");
             let estimates = [
-                (model, multi_position(&poses, gravity, Model::Full9)),
+                (model, multi_position(&poses, gravity, NINE)),
                 (full, six_position(&sides, gravity, exact)),
             ];
             for (method, (truth, estimate)) in estimates.into_iter().enumerate() {

@@ -2,8 +2,8 @@
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, parameters};
-use wimu_calib::{Gravity, Model, Orientation, Parameter, Phase, Session, multi_position};
+use common::{DrawModel as _, G, NINE, Random, parameters};
+use wimu_calib::{Gravity, Orientation, Parameter, Phase, Session, multi_position};
 use wimu_model::{ErrorModel, SpecificForceMps2};
 
 /// A hand that follows advice, with a sensor of this noise in it.
@@ -51,7 +51,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
     {
         let mut random = Random::new(seed as u64);
         let truth = random.model(true);
-        let mut session = Session::<16>::new(rate, Model::Full9, 12);
+        let mut session = Session::<16>::new(rate, 12);
         let mut hand = Hand { random, truth: &truth, noise, up: [0.0, 0.0, 1.0] };
         let mut captured = 0;
         while let Some(next) = session.next() {
@@ -72,7 +72,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
         }
         assert_eq!(captured, 12);
         let gravity = Gravity::new(G, 0.0).expect("gravity");
-        let estimate = multi_position(session.poses(), gravity, Model::Full9).expect("answer");
+        let estimate = multi_position(session.poses(), gravity, NINE).expect("answer");
         let error = (0..3)
             .map(|i| (parameters(&estimate.model)[i] - parameters(&truth)[i]).powi(2))
             .sum::<f64>()
@@ -85,7 +85,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
 #[test]
 fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     let truth = ErrorModel::default();
-    let mut session = Session::<8>::new(100.0, Model::Full9, 20);
+    let mut session = Session::<8>::new(100.0, 20);
     let first = session.next().expect("advice");
     session.skip();
     let second = session.next().expect("other advice");
@@ -108,14 +108,14 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
         session.skip();
     }
     assert_eq!(session.push([f64::NAN; 3]), Phase::Done);
-    let mut none = Session::<0>::new(f64::NAN, Model::Bias3, 3);
+    let mut none = Session::<0>::new(f64::NAN, 3);
     assert_eq!(none.push([0.0, 0.0, G]), Phase::Done);
 }
 
 #[test]
 fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
     let truth = ErrorModel::default();
-    let mut session = Session::<16>::new(100.0, Model::Full9, 12);
+    let mut session = Session::<16>::new(100.0, 12);
     assert_eq!(session.undo(), None);
     let mut hand = Hand { random: Random::new(7), truth: &truth, noise: 0.01, up: [0.0, 0.0, 1.0] };
     for _ in 0..3 {
@@ -151,7 +151,7 @@ fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
 
 #[test]
 fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() {
-    let mut session = Session::<8>::new(100.0, Model::Bias3, 4);
+    let mut session = Session::<8>::new(100.0, 4);
     assert_eq!(session.capture(), None, "nothing is held yet");
     let mut noise = 0.01;
     let mut hold = |session: &mut Session<8>, up: [f64; 3], samples: u32| {

@@ -45,33 +45,6 @@ proptest! {
             prop_assert_eq!(estimate.loo_rms_mps2, None);
         }
     }
-
-    #[test]
-    fn any_garbage_is_refused_or_answered_and_never_panics(
-        values in proptest::collection::vec(
-            ((any::<f64>(), -12.0..12.0_f64, -12.0..12.0_f64), 0_usize..6, any::<bool>()),
-            0..30,
-        ),
-        samples: u32,
-    ) {
-        let poses: Vec<(Face, Pose)> = values
-            .into_iter()
-            .map(|((wild, y, z), face, tame)| {
-                let mean_mps2 = [if tame { y.clamp(-1.0, 1.0) } else { wild }, y, z];
-                (Face::ALL[face], Pose { mean_mps2, samples, ..Pose::default() })
-            })
-            .collect();
-        let gravity = Gravity::UNKNOWN_PLACE;
-        for answer in [
-            six_position(&unlabelled(&poses), gravity, Placement::BY_HAND),
-            six_position_labelled(&poses, gravity, Placement::BY_HAND),
-        ] {
-            match answer {
-                Ok(estimate) => prop_assert!(estimate.rms_mps2.is_finite()),
-                Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
-            }
-        }
-    }
 }
 
 #[test]

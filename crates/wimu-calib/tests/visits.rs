@@ -2,11 +2,8 @@
 
 use crate::common;
 
-use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
-use wimu_calib::{
-    Estimate, Model, MultiPosition, Orientation, Pose, Refusal, Terms, best_model, multi_position,
-    multi_position_with,
-};
+use common::{AUTO, DrawModel as _, G, NINE, ROBUST, Random, exact, misplaced, parameters, pose};
+use wimu_calib::{MultiPosition, Orientation, Pose, multi_position};
 use wimu_model::{ErrorModel, ErrorTerms};
 use wimu_testkit::{Coverage, coverage_figure, draws, trials};
 
@@ -47,20 +44,18 @@ fn sensor(random: &mut Random) -> ErrorModel {
     ErrorModel::new(terms).expect("within bounds")
 }
 
-type Fit = fn(&[Pose]) -> Result<Estimate, Refusal>;
-
 /// Records how often 95 % intervals hold the truth, and asserts it of every kind of session.
-fn assert_intervals_hold(claim: &str, fits: &[(&str, Fit)]) {
+fn assert_intervals_hold(claim: &str, fits: &[(&str, MultiPosition)]) {
     let mut kinds = Vec::new();
     for (orientations, visits) in [(12, 1), (12, 3), (18, 3), (20, 2), (26, 4)] {
         for errors in [[0.005, 0.001], [0.0, 0.005], [0.003, 0.003]] {
-            for (name, fit) in fits {
+            for (name, what) in fits {
                 let mut held = Coverage::default();
                 for seed in 0..draws(400, 9) as u64 {
                     let mut random = Random::new(seed);
                     let truth = sensor(&mut random);
                     let poses = session(&mut random, &truth, orientations, visits, errors);
-                    let estimate = fit(&poses).expect("an answer");
+                    let estimate = multi_position(&poses, exact(), *what).expect("an answer");
                     let (found, truth) = (parameters(&estimate.model), parameters(&truth));
                     for parameter in estimate.fitted.iter() {
                         let i = parameter.index();
@@ -88,14 +83,7 @@ fn assert_intervals_hold(claim: &str, fits: &[(&str, Fit)]) {
 fn intervals_hold_where_an_error_comes_back_with_its_orientation_and_where_it_is_new() {
     assert_intervals_hold(
         "95 % intervals, an error that returns with its orientation",
-        &[
-            ("nine parameters", |poses| multi_position(poses, exact(), Model::Full9)),
-            ("bad poses left out", |poses| {
-                let what = MultiPosition { reject: true, ..MultiPosition::default() };
-                multi_position_with(poses, exact(), what)
-            }),
-            ("auto", |poses| best_model(poses, exact(), Terms::NONE, true)),
-        ],
+        &[("nine parameters", NINE), ("bad poses left out", ROBUST), ("auto", AUTO)],
     );
 }
 
@@ -119,7 +107,7 @@ fn a_second_visit_does_not_replace_an_orientation() {
                     poses.push(one);
                 }
             }
-            let answer = multi_position(&poses, exact(), Model::Full9);
+            let answer = multi_position(&poses, exact(), NINE);
             refused[visits - 1].count(answer.is_err());
         }
     }

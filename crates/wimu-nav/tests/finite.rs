@@ -119,7 +119,7 @@ fn of_units(profile: Profile, rests: Rests, samples: &[Sample]) -> Result<u32, T
 
 fn of_array(rests: Rests, samples: &[Sample]) -> Result<(), TestCaseError> {
     let board = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.01).unwrap();
-    let config = ArrayConfig { rests, range_mps2: 1e6, ..ArrayConfig::default() };
+    let config = ArrayConfig { rests, ..ArrayConfig::default() };
     let mut filter = ArrayFilter::<24>::new(board, config).unwrap();
     for sample in samples {
         let turn = sample.rate_rad_s.unwrap_or_default();

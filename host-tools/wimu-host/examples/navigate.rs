@@ -3,12 +3,14 @@
 
 use std::path::Path;
 
+use wimu_host::formats::{ReadOptions, load};
+use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::inertial::{Choice, InertialPath, navigate};
-use wimu_host::motion::MotionRecording;
 
 /// The path of a file.
 pub fn path_of(file: &Path) -> wimu_host::Result<InertialPath> {
-    navigate(&MotionRecording::from_csv(file)?, &Choice::default())
+    let recording = load(file, &ReadOptions::default())?;
+    navigate(&Imu::of(&recording, &ImuOptions::default())?, &Choice::default())
 }
 
 fn main() -> wimu_host::Result<()> {

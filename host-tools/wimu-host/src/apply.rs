@@ -24,12 +24,12 @@
 use std::io::BufWriter;
 use std::path::Path;
 
-use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_model::{Alignment, STANDARD_GRAVITY_MPS2};
 
 use crate::calibration::{Correction, SensorCalibration};
 use crate::csv::{self, CsvWriter};
+use crate::imu::FIELD_CALIBRATED;
 use crate::mcap_file::RosFile;
-use crate::motion::FIELD_CALIBRATED;
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::ros::message::Message;
 use crate::ros::rate_covariance;
@@ -39,56 +39,112 @@ use crate::{Code, OutputFile, Problem, Result};
 /// Largest departure of the median magnitude from gravity, relative: strong motion stays below. Chosen.
 const NOT_GRAVITY: f64 = 0.3;
 
-/// A corrected sample, body axes.
+/// The tracks of one unit, and what corrects them: the one way from the output of sensors to SI and body axes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tracks<'a> {
+    pub correction: Correction,
+    pub force: &'a Track,
+    pub rate: Option<&'a Track>,
+    pub field: Option<&'a Track>,
+    pub temperature: Option<&'a Track>,
+}
+
+/// A sample of an accelerometer, corrected, with what was measured beside it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Corrected {
+    /// Its row in the track of the accelerometer.
+    pub row: usize,
     /// ns on the clock of the recording.
     pub time_ns: i64,
-    /// Specific force, m/s².
+    /// Specific force, m/s², body axes; not a number where the sensor gave none.
     pub force_mps2: [f64; 3],
-    /// Angular rate, rad/s.
+    /// Angular rate, rad/s, body axes.
     pub rate_rad_s: Option<[f64; 3]>,
-    /// Magnetic flux density, µT: corrected, or as measured where the magnetometer is not calibrated.
-    pub field_ut: Option<[f64; 3]>,
-    /// °C.
+    /// Magnetic flux density as measured, T, sensor axes.
+    pub field_t: Option<[f64; 3]>,
+    /// The latest temperature, °C.
     pub temperature_c: Option<f64>,
+}
+
+impl<'a> Tracks<'a> {
+    /// The rows in the order of time. A masked row of numbers is out of order, and has no place in the sequence.
+    pub fn rows(self) -> impl Iterator<Item = Corrected> + use<'a> {
+        let Self { correction, force, .. } = self;
+        let rate = self.rate.map(|track| {
+            // What the device has corrected is in body axes.
+            let rad_s = correction.rad_s_per_unit(&track.info).filter(|_| !track.info.corrected);
+            (track.beside::<3>(force), rad_s)
+        });
+        let mut field = self.field.map(|track| track.beside::<3>(force));
+        let mut temperature = self.temperature.map(|track| track.beside::<1>(force));
+        let mut celsius = None;
+        force.times_ns().iter().copied().enumerate().filter_map(move |(row, time_ns)| {
+            let output: [f64; 3] = force.row(row)?.try_into().ok()?;
+            if !force.mask()[row] && output.iter().all(|axis| axis.is_finite()) {
+                return None;
+            }
+            let now = temperature.as_mut().and_then(|track| track.latest(row, time_ns));
+            celsius = now.map(|[celsius]| celsius).or(celsius);
+            let rate_rad_s = rate.as_ref().and_then(|(track, rad_s)| {
+                let value = track.at(row, time_ns)?;
+                Some(rad_s.map_or(value, |rad_s| {
+                    correction.rate(value.map(|axis| axis * rad_s), output, celsius)
+                }))
+            });
+            Some(Corrected {
+                row,
+                time_ns,
+                force_mps2: correction.sample(output, celsius),
+                rate_rad_s,
+                field_t: field.as_mut().and_then(|track| track.latest(row, time_ns)),
+                temperature_c: celsius,
+            })
+        })
+    }
 }
 
 /// The tracks of a recording that a calibration corrects.
 #[derive(Debug)]
 pub struct CorrectedRecording<'a> {
-    calibration: &'a SensorCalibration,
-    correction: Correction,
-    force: &'a Track,
-    /// With rad/s per unit.
-    rate: Option<(&'a Track, f64)>,
-    field: Option<&'a Track>,
-    temperature: Option<&'a Track>,
+    /// `None`: its output is only brought to SI units.
+    calibration: Option<&'a SensorCalibration>,
+    tracks: Tracks<'a>,
     /// What was noticed, without the findings of the recording.
     pub findings: Vec<Problem>,
 }
 
 impl<'a> CorrectedRecording<'a> {
-    /// Chooses the tracks of the sensor with the lowest index, those that the device did not correct first.
+    /// Chooses the tracks of the sensor with the lowest index, those that the device did not correct first. Without a
+    /// calibration their output is brought to SI units.
     ///
     /// # Errors
-    /// `data_refused` without a specific force or valid rows; those of [`SensorCalibration::compile`].
-    pub fn new(calibration: &'a SensorCalibration, recording: &'a Recording) -> Result<Self> {
+    /// `data_refused` without a specific force or valid rows; those of [`SensorCalibration::compile`] or [`Correction::ideal`].
+    pub fn new(
+        calibration: impl Into<Option<&'a SensorCalibration>>,
+        recording: &'a Recording,
+    ) -> Result<Self> {
+        let calibration = calibration.into();
         let at = |error: Problem| error.at(&recording.name);
         let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
+        let correction = match calibration {
+            Some(calibration) => calibration.compile(&force.info),
+            None => Correction::ideal(&force.info),
+        };
         let mut corrected = Self {
             calibration,
-            correction: calibration.compile(&force.info).map_err(at)?,
-            force,
-            rate: None,
-            field: recording
-                .first(Quantity::MagneticField)
-                .filter(|track| track.info.unit == Unit::Si),
-            temperature: recording.first(Quantity::Temperature),
+            tracks: Tracks {
+                correction: correction.map_err(at)?,
+                force,
+                rate: None,
+                field: recording
+                    .first(Quantity::MagneticField)
+                    .filter(|track| track.info.unit == Unit::Si),
+                temperature: recording.first(Quantity::Temperature),
+            },
             findings: Vec::new(),
         };
-        if force.info.corrected {
+        if force.info.corrected && calibration.is_some() {
             let text = format!("`{}` was corrected by the device before", force.info.name);
             let remedy = "use its uncorrected output, or the calibration of this output";
             corrected.findings.push(Code::TrackChosen.warning(text).remedy(remedy));
@@ -117,13 +173,13 @@ impl<'a> CorrectedRecording<'a> {
     fn choose_rate(&mut self, recording: &'a Recording) {
         let Some(track) = chosen(recording, Quantity::AngularRate) else { return };
         let name = &track.info.name;
-        let scale = self.correction.rad_s_per_unit(&track.info);
-        let [is_calibrated, _] = self.correction.has();
-        self.rate = scale.map(|scale| (track, scale));
+        let scale = self.tracks.correction.rad_s_per_unit(&track.info);
+        let [is_calibrated, _] = self.tracks.correction.has();
+        self.tracks.rate = scale.map(|_| track);
         if scale.is_none() {
             let text = format!("`{name}` is left out: its unit is not known");
             self.findings.push(Code::Uncalibrated.warning(text));
-        } else if !is_calibrated {
+        } else if !is_calibrated && self.calibration.is_some() {
             self.findings.push(Code::Uncalibrated.note(format!(
                 "`{name}` is only rotated to body axes: the calibration has no gyroscope"
             )));
@@ -132,38 +188,20 @@ impl<'a> CorrectedRecording<'a> {
 
     /// The corrected samples, in the order of the recording.
     pub fn rows(&self) -> impl Iterator<Item = Corrected> {
-        let mut rate = self.rate.map(|(track, _)| track.beside(self.force));
-        let mut field = self.field.map(|track| track.beside(self.force));
-        let mut temperature = self.temperature.map(|track| track.beside(self.force));
-        let mut celsius = None;
-        let times = self.force.times_ns().iter().enumerate();
-        times.filter_map(move |(row, time_ns)| {
-            let rate = rate.as_mut().and_then(|track| track.at(row, *time_ns));
-            let field = field.as_mut().and_then(|track| track.latest(row, *time_ns));
-            let now = temperature.as_mut().and_then(|track| track.latest(row, *time_ns));
-            celsius = now.map(|row| row[0]).or(celsius);
-            let output = self.force.row(row).filter(|_| self.force.mask()[row])?;
-            let output: [f64; 3] = output.try_into().ok()?;
-            let rate = rate.zip(self.rate).map(|(rate, (_, scale)): ([f64; 3], _)| {
-                self.correction.rate(rate.map(|axis| axis * scale), output, celsius)
-            });
-            let tesla: Option<[f64; 3]> = field.and_then(|row| row.try_into().ok());
-            Some(Corrected {
-                time_ns: *time_ns,
-                force_mps2: self.correction.sample(output, celsius),
-                rate_rad_s: rate,
-                field_ut: tesla.map(|tesla| {
-                    let measured = tesla.map(|axis| axis * 1e6);
-                    self.correction.field_ut(tesla).unwrap_or(measured)
-                }),
-                temperature_c: celsius,
-            })
-        })
+        let is_number = |row: &Corrected| row.force_mps2.iter().all(|axis| axis.is_finite());
+        self.tracks.rows().filter(is_number)
+    }
+
+    /// Magnetic flux density of a sample, µT: corrected, or as measured where the magnetometer is not calibrated.
+    fn field_ut(&self, sample: &Corrected) -> Option<[f64; 3]> {
+        let tesla = sample.field_t?;
+        let corrected = self.tracks.correction.field_ut(tesla);
+        Some(corrected.unwrap_or(tesla.map(|axis| axis * 1e6)))
     }
 
     /// Whether the magnetic field is corrected: there is a model of the magnetometer, and its axes are known.
     fn is_field_calibrated(&self) -> bool {
-        let model = &self.calibration.magnetometer;
+        let model = self.calibration.and_then(|own| own.magnetometer);
         model.is_some_and(|model| model.terms().to_accelerometer.is_some())
     }
 
@@ -183,32 +221,32 @@ impl<'a> CorrectedRecording<'a> {
         let calibrated = self.is_field_calibrated();
         let mut columns = vec![csv::TIME.to_owned()];
         columns.extend(csv::axes("Accelerometer", "m/s²"));
-        if self.field.is_some() {
+        if self.tracks.field.is_some() {
             columns.extend(csv::axes("Magnetometer", "µT"));
         }
-        if self.temperature.is_some() {
+        if self.tracks.temperature.is_some() {
             columns.push(csv::TEMPERATURE.to_owned());
         }
-        if self.field.is_some() {
+        if self.tracks.field.is_some() {
             columns.push(FIELD_CALIBRATED.to_owned());
         }
-        if self.rate.is_some() {
+        if self.tracks.rate.is_some() {
             columns.extend(csv::axes("Gyroscope", "rad/s"));
         }
         let mut writer = CsvWriter::new(BufWriter::new(sink), output.name(), &columns)?;
         let mut count = 0;
         for row in self.rows() {
             (writer.time(Some(row.time_ns))).vector(Some(row.force_mps2));
-            if self.field.is_some() {
-                writer.vector(row.field_ut);
+            if self.tracks.field.is_some() {
+                writer.vector(self.field_ut(&row));
             }
-            if self.temperature.is_some() {
+            if self.tracks.temperature.is_some() {
                 writer.number(row.temperature_c);
             }
-            if self.field.is_some() {
+            if self.tracks.field.is_some() {
                 writer.field(u8::from(calibrated));
             }
-            writer.vector(row.rate_rad_s.filter(|_| self.rate.is_some()));
+            writer.vector(row.rate_rad_s.filter(|_| self.tracks.rate.is_some()));
             writer.end_row()?;
             count += 1;
         }
@@ -222,10 +260,10 @@ impl<'a> CorrectedRecording<'a> {
     fn write_mcap(&self, path: &Path) -> Result<usize> {
         let (output, sink) = OutputFile::create(path)?;
         let mut out = RosFile::new(sink, output.name())?;
-        let gyroscope = self.calibration.gyroscope.and_then(|gyroscope| gyroscope.sd);
+        let gyroscope = self.calibration.and_then(|own| own.gyroscope?.sd);
         let gyroscope = gyroscope.map(|sd| sd.map(f64::from));
-        let rotation = self.calibration.alignment.matrix();
-        let variance = self.calibration.accelerometer.bias_sd_mps2().powi(2);
+        let rotation = self.calibration.map_or(Alignment::IDENTITY, |own| own.alignment).matrix();
+        let variance = self.calibration.map_or(0.0, |own| own.accelerometer.bias_sd_mps2().powi(2));
         let mut count = 0;
         for row in self.rows() {
             let stamp_ns = u64::try_from(row.time_ns).unwrap_or_default();
@@ -242,7 +280,7 @@ impl<'a> CorrectedRecording<'a> {
                 out.publish(topic, type_name, stamp_ns, stamp_ns, &message)
             };
             publish("/imu/data", "sensor_msgs/Imu", &fields)?;
-            if let Some([x, y, z]) = row.field_ut {
+            if let Some([x, y, z]) = self.field_ut(&row) {
                 let mut fields = [0.0; 12];
                 fields[..3].copy_from_slice(&[x * 1e-6, y * 1e-6, z * 1e-6]);
                 publish("/imu/mag", "sensor_msgs/MagneticField", &fields)?;

@@ -18,6 +18,6 @@ pub use fit::{Agreement, RefineOptions, Refinement, refine};
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::ArrayBody;
 pub use rests::EvenTurn;
-pub use samples::{Array, Reference};
+pub use samples::Array;
 pub use stored::{CalibratedArray, calibrate_array};
 pub use units::{ArrayUnit, UnitOptions};

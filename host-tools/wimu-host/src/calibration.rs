@@ -43,7 +43,7 @@ pub use several::{Repeatability, SessionReport, SeveralFit, SeveralReport, calib
 pub use source::compiled_for;
 pub use update::{RestReport, UpdateReport, update};
 
-use wimu_calib::{Datasheet, Face, Gravity, Model, Placement, Pose, Term, Terms};
+use wimu_calib::{Datasheet, Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
 
 use crate::plural::counted;
 use crate::recording::Samples;
@@ -84,19 +84,14 @@ impl MethodChoice {
     }
 }
 
-/// Which parameters to fit with [`MethodChoice::MultiPosition`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What determines the parameters with [`MethodChoice::MultiPosition`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ModelChoice {
-    /// This model.
-    Fixed(Model),
-    /// The model with the least leave-one-out error.
+    /// The poses alone: they are refused unless they determine all nine.
+    #[default]
+    Nine,
+    /// The poses, and the tolerances of typical datasheets as priors.
     Auto,
-}
-
-impl Default for ModelChoice {
-    fn default() -> Self {
-        Self::Fixed(Model::Full9)
-    }
 }
 
 /// The model and terms that a text such as `6`, `auto` or `9+drift` names; those of the method where it names none.
@@ -124,14 +119,12 @@ pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Ter
         ("", _)
         | ("12", MethodChoice::SixPosition)
         | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
-        ("9", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Full9),
-        ("6", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::BiasScale6),
-        ("3", MethodChoice::MultiPosition) => ModelChoice::Fixed(Model::Bias3),
+        ("9", MethodChoice::MultiPosition) => ModelChoice::Nine,
         ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
         _ => {
             return Err(Code::Usage.error(
                 format!("--model {text} does not go with --method {}", method.name()),
-                "multi-position has 3, 6, 9 or auto, six-position 12, four-angle and three-angle 6",
+                "multi-position has 9 or auto, six-position 12, four-angle and three-angle 6",
             ));
         }
     };
@@ -219,11 +212,9 @@ impl CalibrateOptions {
         ))
     }
 
-    /// The model that is fitted, or the largest of those that are tried.
-    pub(crate) fn wanted(&self) -> Model {
-        match self.model {
-            ModelChoice::Fixed(model) => model,
-            ModelChoice::Auto => Model::Full9,
-        }
+    /// What is fitted with [`MethodChoice::MultiPosition`].
+    pub(crate) fn multi_position(&self) -> MultiPosition {
+        let priors = self.model == ModelChoice::Auto;
+        MultiPosition { terms: self.terms, priors, reject: true }
     }
 }

@@ -29,15 +29,14 @@ mod findings;
 mod fit;
 
 use nalgebra::Vector3;
-use serde::Serialize;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::sensor::Reading;
 
 use crate::recording::{Origin, Quantity, Recording, Track, Unit};
 use crate::series::{At, Flags, Interp, Ns, Series};
 use crate::{Code, Problem, Result};
-use findings::{judged, saturated, summary};
-use fit::{Clock, Fine, Fit};
+use findings::{judged, saturated};
+use fit::{Fine, Fit};
 
 /// Most accelerometers of a merge.
 pub const MOST: usize = 3;
@@ -73,42 +72,6 @@ impl FullScales {
     }
 }
 
-/// An accelerometer of a merge.
-#[derive(Clone, Debug, Serialize)]
-#[non_exhaustive]
-pub struct MergedSensor {
-    /// Its index in the recording.
-    pub sensor: u8,
-    /// Full scale, m/s².
-    pub full_scale_mps2: f64,
-    /// Noise of a sample, m/s² (1 σ, RMS of the axes).
-    pub noise_mps2: f64,
-    /// Relative to the finer ones; `None` of the finest.
-    pub relative: Option<Relative>,
-    /// Samples in which a finer one was saturated or missing, and it was not.
-    pub stands_in: usize,
-}
-
-/// Calibration of an accelerometer by the finer ones: output = bias + matrix × specific force.
-#[derive(Clone, Debug, Serialize)]
-#[non_exhaustive]
-pub struct Relative {
-    /// m/s².
-    pub bias_mps2: [f64; 3],
-    /// Rows.
-    pub matrix: [[f64; 3]; 3],
-    /// Standard deviations of a bias, m/s², and of an element of the matrix, the largest.
-    pub bias_sd_mps2: f64,
-    /// See `bias_sd_mps2`.
-    pub matrix_sd: f64,
-    /// How late its time stamps are in the middle of the recording, s.
-    pub delay_s: f64,
-    /// Its standard deviation, s.
-    pub delay_sd_s: f64,
-    /// How fast its clock is, ppm.
-    pub drift_ppm: f64,
-}
-
 /// Accelerometers merged into one.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -116,10 +79,6 @@ pub struct Merge {
     /// The recording with one accelerometer: axes, scale and errors of the finest, range of the widest. Samples in which all
     /// are saturated are not numbers.
     pub recording: Recording,
-    /// Standard deviation of each of its rows, m/s²; NaN where nothing measures.
-    pub deviations_mps2: Vec<[f64; 3]>,
-    /// The accelerometers, the finest first.
-    pub sensors: Vec<MergedSensor>,
     /// What was found; the first says what was merged.
     pub findings: Vec<Problem>,
 }
@@ -169,7 +128,7 @@ impl Merge {
     fn of_sensors(recording: &Recording, tracks: &[&Track], sensors: &[Sensor]) -> Result<Self> {
         let (finest, coarser) = (&sensors[0], &sensors[1..]);
         let mut readings = finest.readings();
-        let mut merged = vec![finest.merged(finest.noise, None, 0)];
+        let (mut names, mut stood_in) = (vec![finest.name()], Vec::new());
         let mut findings = Vec::new();
         let mut noise = finest.noise;
         for coarse in coarser {
@@ -184,20 +143,26 @@ impl Merge {
                 )
             })?;
             findings.extend(judged(finest, coarse, &fit)?);
-            let (next, stands_in) = combine(&fine, coarse, &fit);
-            merged.push(coarse.merged(fit.noise, Some(relative(&fit)), stands_in));
+            let (next, samples) = combine(&fine, coarse, &fit);
+            names.push(coarse.name());
+            stood_in.push(format!("{} in {samples} samples", coarse.sensor));
             readings = next;
             noise = std::array::from_fn(|axis| {
                 let (p, q) = (noise[axis], fit.noise[axis]);
                 p * q / (p + q)
             });
         }
-        findings.insert(0, summary(&merged));
+        let text = format!(
+            "accelerometers {} merged; where finer ones are saturated: {}",
+            names.join(", "),
+            stood_in.join(", ")
+        );
+        findings.insert(0, Code::Navigation.note(text));
         findings.extend(saturated(&readings, sensors));
         let track = tracks.iter().find(|track| track.info.sensor == finest.sensor);
         let widest = sensors[sensors.len() - 1].full_scale;
-        let (recording, deviations_mps2) = finest.replaced(recording, track, &readings, widest);
-        Ok(Self { recording, deviations_mps2, sensors: merged, findings })
+        let recording = finest.replaced(recording, track, &readings, widest);
+        Ok(Self { recording, findings })
     }
 }
 
@@ -261,21 +226,6 @@ impl Sensor {
         self.series.v.iter().map(reading).collect()
     }
 
-    fn merged(
-        &self,
-        noise: [f64; 3],
-        relative: Option<Relative>,
-        stands_in: usize,
-    ) -> MergedSensor {
-        MergedSensor {
-            sensor: self.sensor,
-            full_scale_mps2: self.full_scale,
-            noise_mps2: (noise.iter().sum::<f64>() / 3.0).sqrt(),
-            relative,
-            stands_in,
-        }
-    }
-
     /// The recording with the merged values in place of its track, and without the other accelerometers.
     fn replaced(
         &self,
@@ -283,29 +233,21 @@ impl Sensor {
         track: Option<&&Track>,
         readings: &[[Reading; 3]],
         widest: f64,
-    ) -> (Recording, Vec<[f64; 3]>) {
+    ) -> Recording {
         let count = track.map_or(0, |track| track.len());
         let mut values = vec![None; count];
-        let mut deviations = vec![[f64::NAN; 3]; count];
         for (row, readings) in self.rows.iter().zip(readings) {
-            let parts = readings.map(|reading| match reading {
-                Reading::Measured(value, variance) => (value / self.si_per_unit, variance.sqrt()),
-                _ => (f64::NAN, f64::NAN),
-            });
-            values[*row] = Some(parts.map(|(value, _)| value));
-            deviations[*row] = parts.map(|(_, deviation)| deviation);
+            values[*row] = Some(readings.map(|reading| match reading {
+                Reading::Measured(value, _) => value / self.si_per_unit,
+                _ => f64::NAN,
+            }));
         }
-        let merged = recording.with_one_force(self.sensor, &values, widest);
-        (merged, deviations)
+        recording.with_one_force(self.sensor, &values, widest)
     }
 
     fn name(&self) -> String {
-        name(self.sensor, self.full_scale)
+        format!("{} (±{:.0} g)", self.sensor, self.full_scale / STANDARD_GRAVITY_MPS2)
     }
-}
-
-fn name(sensor: u8, full_scale_mps2: f64) -> String {
-    format!("{sensor} (±{:.0} g)", full_scale_mps2 / STANDARD_GRAVITY_MPS2)
 }
 
 /// Merges the coarse accelerometer with the finer side: readings, and samples in which it stands in.
@@ -340,18 +282,4 @@ fn slope(series: &Series<Vector3<f64>>, time: Ns) -> Option<Vector3<f64>> {
     let change = series.v.get(before + 1)? - series.v[before];
     let slope = change / series.t[before + 1].since_s(series.t[before]);
     slope.iter().all(|axis| axis.is_finite()).then_some(slope)
-}
-
-fn relative(fit: &Fit) -> Relative {
-    let sd = fit.model.covariance.diagonal().map(f64::sqrt);
-    let Clock { delay_s, delay_sd_s, drift, .. } = fit.clock;
-    Relative {
-        bias_mps2: fit.model.bias_mps2.into(),
-        matrix: fit.model.matrix.transpose().into(),
-        bias_sd_mps2: sd[0],
-        matrix_sd: sd[1].max(sd[2]).max(sd[3]),
-        delay_s,
-        delay_sd_s,
-        drift_ppm: drift * 1e6,
-    }
 }

@@ -10,10 +10,11 @@ use wimu_model::{
 use crate::calibration;
 use crate::capture::Boot;
 use crate::decode::TimedSample;
-use crate::motion::{MotionRecording, UnitSample};
+use crate::imu::{Imu, Sample};
 use crate::multi_range::{FullScales, Merge};
 use crate::recording::{Quantity, Recording};
 use crate::replay::{Correction, Replay, Step, find};
+use crate::series::Ns;
 use crate::stats::norm;
 use crate::stream::Part;
 use crate::{Code, Problem, Result};
@@ -138,11 +139,7 @@ fn refused(error: impl std::error::Error) -> Problem {
 ///
 /// # Errors
 /// `no_rows` with fewer than two samples; `data_refused` when the parameters cannot be compiled.
-pub fn motion(
-    name: &str,
-    boot: &Boot,
-    parameters: Option<&ParameterSet>,
-) -> Result<MotionRecording> {
+pub fn motion(name: &str, boot: &Boot, parameters: Option<&ParameterSet>) -> Result<Imu> {
     type Corrected = (DeviceTimeUs, (SpecificForceQ16, Option<AngularRateQ20>));
     let is_given = parameters.is_some();
     let latest = if is_given { None } else { replaced(boot) };
@@ -189,29 +186,26 @@ pub fn motion(
             Some((e.time_us, field_nt.map(|b| b * 1e-3)))
         })
         .peekable();
-    let mut times_s = Vec::with_capacity(forces.len());
-    let mut samples = Vec::with_capacity(forces.len());
+    let mut recording = Imu::new(name);
     for (time, (force, rate)) in &forces {
         // Each field belongs to the first sample after it.
         let mut field_ut = None;
         while let Some((_, field)) = fields.next_if(|(at, _)| *at <= time.0) {
-            field_ut = Some(field);
+            field_ut = Some(field.into());
         }
-        let now = time.to_seconds();
-        samples.push(UnitSample {
-            step_s: now - times_s.last().copied().unwrap_or(now),
-            force_mps2: force.to_mps2().0,
+        let sample = Sample {
+            step_s: 0.0,
+            force_mps2: force.to_mps2().0.into(),
             field_ut,
-            rate_rad_s: rate.map(|rate| rate.to_rad_s()),
-        });
-        times_s.push(now);
+            rate_rad_s: rate.map(|rate| rate.to_rad_s().into()),
+        };
+        recording.push(Ns(time.0.cast_signed().saturating_mul(1000)), sample);
     }
-    let mut recording = MotionRecording::new(name, times_s, samples);
     let range_g = boot.epochs().iter().map(|mark| mark.epoch.range_g).max();
     recording.full_scale_mps2 = range_g.map(|g| f64::from(g) * BEYOND_RANGE);
     let has_field = boot.environment.iter().any(|e| e.magnetic_field_nt.is_some());
     recording.field_uncalibrated =
-        has_field && recording.samples.iter().all(|s| s.field_ut.is_none());
+        has_field && recording.samples.v.iter().all(|s| s.field_ut.is_none());
     if recording.field_uncalibrated && !is_given {
         recording.findings.extend(boot.unknown_source());
     }
@@ -234,11 +228,7 @@ fn replaced(boot: &Boot) -> Option<(&Epoch, ParameterSet)> {
 }
 
 /// Merges further accelerometers of other ranges with the first. Where that is not possible, the first stays as it is.
-fn widen(
-    motion: &mut MotionRecording,
-    boot: &Boot,
-    parameters: Option<&ParameterSet>,
-) -> Result<()> {
+fn widen(motion: &mut Imu, boot: &Boot, parameters: Option<&ParameterSet>) -> Result<()> {
     let (Some(first), Some(mark)) = (boot.raw().first(), boot.epochs().first()) else {
         return Ok(());
     };
@@ -262,8 +252,8 @@ fn widen(
     };
     let (part, correction) = (Part::from(boot), calibration::Correction::from(&set));
     let mut rows = track.times_ns().iter().enumerate().peekable();
-    for (time_s, sample) in motion.times_s.iter().zip(&mut motion.samples) {
-        let time_us = (time_s * 1e6).round() as u64;
+    for (time, sample) in motion.samples.t.iter().zip(&mut motion.samples.v) {
+        let time_us = (time.0 / 1000) as u64;
         let since_ns = time_us.wrapping_sub(first.time.0) as i64 * 1000;
         while rows.next_if(|(_, time_ns)| **time_ns < since_ns).is_some() {}
         let Some((row, _)) = rows.next_if(|(_, time_ns)| **time_ns == since_ns) else {
@@ -275,7 +265,7 @@ fn widen(
         let celsius = part.environment_at(DeviceTimeUs(time_us));
         let celsius = celsius.and_then(|known| known.temperature_centi_c);
         let celsius = celsius.map(|centi| f64::from(centi) * 1e-2);
-        sample.force_mps2 = correction.sample(counts, celsius);
+        sample.force_mps2 = correction.sample(counts, celsius).into();
     }
     motion.full_scale_mps2 = track.info.full_scale.map(|full| full * BEYOND_RANGE / G);
     motion.findings.extend(merge.findings);

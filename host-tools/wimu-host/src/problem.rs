@@ -266,12 +266,6 @@ codes! {
     CsvMixedUnits = "csv_mixed_units", 2;
     /// A field that is not a finite number.
     CsvBadNumber = "csv_bad_number", 2;
-    /// A line with more or fewer fields than the header.
-    CsvFieldCount = "csv_field_count", 2;
-    /// Time that goes backwards.
-    CsvTimeBackwards = "csv_time_backwards", 2;
-    /// Bytes that are not UTF-8.
-    CsvNotUtf8 = "csv_not_utf8", 2;
     /// No row is left after the filter, or there is none.
     NoRows = "no_rows", 2;
     /// A file that is not an MCAP recording, or damaged beyond use.
@@ -336,8 +330,6 @@ codes! {
     Step = "step", 3;
     /// The nominal sensitivity is not that of the data, or an axis departs far from it.
     Sensitivity = "sensitivity", 3;
-    /// A smaller model was used because a parameter of the one that fits best is not plausible.
-    SmallerModel = "smaller_model", 3;
     /// The data were normalised or corrected before.
     AlreadyCorrected = "already_corrected", 3;
     /// Estimates compared with the limits of a datasheet.

@@ -182,35 +182,7 @@ impl<T> Default for Series<T> {
     }
 }
 
-impl<T: Value> Series<T> {
-    /// Of rows in the order of time; one that is not later than the row before is left out. Steps of more than 2.5 median
-    /// periods are gaps.
-    pub fn of(rows: impl IntoIterator<Item = (Ns, T)>) -> Self {
-        Self::flagged(rows.into_iter().map(|(t, v)| (t, v, Flags::NONE)))
-    }
-
-    /// The same of rows with flags.
-    pub fn flagged(rows: impl IntoIterator<Item = (Ns, T, Flags)>) -> Self {
-        let mut series = Self::default();
-        for (t, v, flags) in rows {
-            series.push(t, v, flags);
-        }
-        series.even()
-    }
-
-    /// The same where steps of more than 2.5 median periods are gaps.
-    #[must_use]
-    pub fn even(self) -> Self {
-        let gap_s = GAP_PERIODS * self.period_s();
-        Self { gap_s, even_s: gap_s, ..self }
-    }
-
-    /// The same with another longest step over which a straight line is drawn, s.
-    #[must_use]
-    pub fn with_gap(self, gap_s: f64) -> Self {
-        Self { gap_s, ..self }
-    }
-
+impl<T> Series<T> {
     /// Adds a row; returns whether it is later than the last one.
     pub fn push(&mut self, t: Ns, v: T, flags: Flags) -> bool {
         let is_later = self.t.last().is_none_or(|last| t > *last);
@@ -243,6 +215,51 @@ impl<T: Value> Series<T> {
         median(steps).unwrap_or(1.0).max(1e-6)
     }
 
+    /// A longer pause between rows is one in the motion, s: 0.25 s, or four times the usual step.
+    pub fn pause_s(&self) -> f64 {
+        f64::max(0.25, 4.0 * self.period_s())
+    }
+
+    /// Removes rows before a time, but for the last `kept` ones of all; returns their number.
+    pub fn forget_before(&mut self, time: Ns, kept: usize) -> usize {
+        let old = self.t.partition_point(|t| *t < time);
+        let old = old.min(self.t.len().saturating_sub(kept));
+        self.t.drain(..old);
+        self.v.drain(..old);
+        self.flags.drain(..old);
+        old
+    }
+}
+
+impl<T: Value> Series<T> {
+    /// Of rows in the order of time; one that is not later than the row before is left out. Steps of more than 2.5 median
+    /// periods are gaps.
+    pub fn of(rows: impl IntoIterator<Item = (Ns, T)>) -> Self {
+        Self::flagged(rows.into_iter().map(|(t, v)| (t, v, Flags::NONE)))
+    }
+
+    /// The same of rows with flags.
+    pub fn flagged(rows: impl IntoIterator<Item = (Ns, T, Flags)>) -> Self {
+        let mut series = Self::default();
+        for (t, v, flags) in rows {
+            series.push(t, v, flags);
+        }
+        series.even()
+    }
+
+    /// The same where steps of more than 2.5 median periods are gaps.
+    #[must_use]
+    pub fn even(self) -> Self {
+        let gap_s = GAP_PERIODS * self.period_s();
+        Self { gap_s, even_s: gap_s, ..self }
+    }
+
+    /// The same with another longest step over which a straight line is drawn, s.
+    #[must_use]
+    pub fn with_gap(self, gap_s: f64) -> Self {
+        Self { gap_s, ..self }
+    }
+
     /// Other values at the same times.
     pub fn map<U: Value>(&self, value: impl FnMut(&T) -> U) -> Series<U> {
         let Self { gap_s, even_s, .. } = *self;
@@ -267,15 +284,6 @@ impl<T: Value> Series<T> {
             flags: self.flags[flags].to_vec(),
             ..*self
         }
-    }
-
-    /// Removes rows before a time, but for the last `kept` ones of all.
-    pub fn forget_before(&mut self, time: Ns, kept: usize) {
-        let old = self.t.partition_point(|t| *t < time);
-        let old = old.min(self.t.len().saturating_sub(kept));
-        self.t.drain(..old);
-        self.v.drain(..old);
-        self.flags.drain(..old);
     }
 
     /// The last row at or before a time.

@@ -1,6 +1,6 @@
 //! The advice of a calibration on the next pose.
 
-use wimu_calib::{Gravity, Model, Pose, multi_position};
+use wimu_calib::{Gravity, MultiPosition, Pose, multi_position};
 use wimu_host::calibration::{CalibrateOptions, calibrate};
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
@@ -60,7 +60,7 @@ fn twelve_poses_by_the_first_advice_each_time_predict_as_well_as_twenty_random_o
         let score = |poses: &[[f64; 3]]| {
             let gravity = Gravity::new(G, 0.0).unwrap();
             let poses: Vec<Pose> = poses.iter().copied().map(Pose::from_mean).collect();
-            let estimate = multi_position(&poses, gravity, Model::Full9).ok()?;
+            let estimate = multi_position(&poses, gravity, MultiPosition::default()).ok()?;
             let squares = unseen.iter().map(|pose| estimate.residual_mps2(pose).powi(2));
             Some(1e6 * squares.sum::<f64>() / 100.0)
         };

@@ -260,3 +260,21 @@ fn a_sound_session_has_no_warning() {
     );
     assert!(fraction <= 0.01_f64.max(1.5 / sessions as f64), "{fraction}");
 }
+
+#[test]
+fn a_pose_that_is_left_out_does_not_change_the_grade() {
+    let error = |session: &Session| {
+        let report = run(session, &session.options);
+        let fit = report.fit.expect("an estimate");
+        (report.rejected, fit.grade.error_mm_s2, fit.loo_rms_mm_s2.expect("of many poses"))
+    };
+    let mut session = session(80_000, 20, Fault::None);
+    let (rejected, grade, left_out) = error(&session);
+    assert_eq!(rejected, 0);
+    let bad = session.rows[7].1.map(|y| 1.01 * y);
+    session.rows.push((400.0, bad));
+    let (rejected, with_bad, left_out_with_bad) = error(&session);
+    assert_eq!(rejected, 1);
+    assert!((with_bad / grade - 1.0).abs() < 1e-6, "{with_bad} {grade}");
+    assert!((left_out_with_bad / left_out - 1.0).abs() < 1e-6, "{left_out_with_bad} {left_out}");
+}

@@ -2,22 +2,22 @@
 
 use std::path::Path;
 
+use wimu_host::imu::Imu;
 use wimu_host::inertial::{Choice, Profile, navigate};
-use wimu_host::motion::MotionRecording;
 use wimu_testkit::Lane;
 
 fn on_foot() -> Choice {
     Choice { profile: Profile::Foot, ..Choice::default() }
 }
 
-fn trial(name: &str) -> Option<MotionRecording> {
+fn trial(name: &str) -> Option<Imu> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/gait");
     let csv = folder.join(format!("pyshoe_{name}.csv"));
     if !csv.exists() {
         println!("skipped: the public recordings, ../shared/data, are absent");
         return None;
     }
-    Some(MotionRecording::from_csv(&csv).unwrap())
+    Some(crate::common::read(&csv).unwrap())
 }
 
 /// A fixed threshold ends 30 m and 5 m off.
@@ -29,8 +29,8 @@ fn one_setting_follows_a_run_and_a_slow_walk() {
             return;
         };
         let path = navigate(&recording, &on_foot()).unwrap();
-        let truth = |k: usize| recording.truth[k].map(|truth| truth.position_m);
-        let (first, last) = (truth(0).unwrap(), truth(path.points.len() - 1).unwrap());
+        let truth = &recording.reference.position_m.v;
+        let (first, last) = (truth[0].into(), truth[truth.len() - 1].into());
         let [start, end] = [&path.points[0], &path.points[path.points.len() - 1]];
         let way = |a: [f64; 3], b: [f64; 3]| [(b[0] - a[0]).hypot(b[1] - a[1]), b[2] - a[2]];
         let found = way(start.position_m, end.position_m);
@@ -49,7 +49,7 @@ fn a_foot_without_a_gyroscope_is_refused() {
     let Some(mut recording) = trial("2018-02-22-10-10-56") else {
         return;
     };
-    for sample in &mut recording.samples {
+    for sample in &mut recording.samples.v {
         sample.rate_rad_s = None;
     }
     let refused = navigate(&recording, &on_foot()).unwrap_err();

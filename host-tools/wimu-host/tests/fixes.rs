@@ -1,12 +1,13 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
 use wimu_host::Problem;
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::aids::Mounting;
 use wimu_host::inertial::aids::position::POSITION;
 use wimu_host::inertial::{
     Aid, Aids, Choice, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
 };
-use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::series::Ns;
 use wimu_testkit::Random;
 
 const RATE_HZ: f64 = 100.0;
@@ -33,9 +34,9 @@ fn truth(t: f64) -> (f64, [[f64; 2]; 3]) {
 }
 
 /// The recording, and a fix each second at the antenna `arm_m` before the unit, `late_s` after its measurement.
-fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Aid>) {
+fn recorded(arm_m: f64, late_s: f64) -> (Imu, Vec<Aid>) {
     let mut random = Random::new(5);
-    let (mut times, mut samples, mut fixes) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut recording, mut fixes) = (Imu::new("simulated"), Vec::new());
     for k in 0..(LENGTH_S * RATE_HZ) as usize {
         let t = k as f64 / RATE_HZ;
         let (heading, [_, _, a]) = truth(t);
@@ -44,13 +45,12 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Aid>) {
         let noise = random.normals(0.02);
         let force = [cos * a[0] + sin * a[1], cos * a[1] - sin * a[0], GRAVITY];
         let turn = random.normals(0.002);
-        times.push(t);
-        samples.push(UnitSample {
-            step_s: 1.0 / RATE_HZ,
-            force_mps2: [0, 1, 2].map(|i| force[i] + noise[i]),
-            rate_rad_s: Some([turn[0], turn[1], rate + turn[2]]),
-            field_ut: None,
-        });
+        let sample = Sample {
+            force_mps2: [0, 1, 2].map(|i| force[i] + noise[i]).into(),
+            rate_rad_s: Some([turn[0], turn[1], rate + turn[2]].into()),
+            ..Sample::default()
+        };
+        recording.push(Ns::from_s(t), sample);
         if k % 100 == 50 && k < 3750 {
             let (heading, [p, ..]) = truth(t);
             let noise = random.normals(0.05);
@@ -59,7 +59,7 @@ fn recorded(arm_m: f64, late_s: f64) -> (MotionRecording, Vec<Aid>) {
             fixes.push(fix(t + late_s, [0, 1, 2].map(|i| at[i] + noise[i])));
         }
     }
-    (MotionRecording::new("simulated", times, samples), fixes)
+    (recording, fixes)
 }
 
 fn fix(time_s: f64, position_m: [f64; 3]) -> Aid {
@@ -233,11 +233,12 @@ fn streamed(live: &mut Live, late_s: f64, arm_m: f64) -> Vec<PathPoint> {
     let lever_arm_m = [arm_m, 0.0, 0.0];
     let mut fixes = fixes.into_iter().map(|fix| Aid { lever_arm_m, ..fix }).peekable();
     let mut points = Vec::new();
-    for (k, (time_s, sample)) in recording.times_s.iter().zip(&recording.samples).enumerate() {
-        while let Some(fix) = fixes.next_if(|fix| fix.time_s + late_s <= *time_s) {
+    for (k, sample) in recording.samples.v.iter().enumerate() {
+        let time_s = recording.samples.t[k].s();
+        while let Some(fix) = fixes.next_if(|fix| fix.time_s + late_s <= time_s) {
             live.aid(fix);
         }
-        live.push(*time_s, *sample).unwrap();
+        live.push(time_s, *sample).unwrap();
         if k % 10 == 9 {
             points.extend(live.now());
         }
@@ -252,7 +253,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let path = navigate(&recording, &choice).unwrap();
     let begun = Choice::default();
     let off = |late_s: f64, delay_s: f64| {
-        let mut live = Live::new(begun.clone(), MotionRecording::default(), delay_s);
+        let mut live = Live::new(begun.clone(), Imu::default(), delay_s);
         let points = streamed(&mut live, late_s, 0.5);
         assert!(points.iter().all(|p| p.time_s > 2.9), "{:?}", points[0]);
         // The heading is decided.
@@ -273,7 +274,7 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
     let (far, _) = off(1.5, 1.6);
     println!("{far}");
     assert!((0.05..1.0).contains(&far), "{far}");
-    let mut live = Live::new(begun, MotionRecording::default(), 0.5);
+    let mut live = Live::new(begun, Imu::default(), 0.5);
     streamed(&mut live, 1.5, 0.5);
     // The first three came before the filter began.
     let late = "34 fixes arrived later than the filter waits";
@@ -312,15 +313,15 @@ fn late_fixes_without_their_delay_name_it() {
 #[test]
 fn a_magnet_near_the_unit_is_reported() {
     let (mut recording, fixes) = recorded(0.0, 0.0);
-    for (sample, time_s) in recording.samples.iter_mut().zip(&recording.times_s) {
-        let (sin, cos) = truth(*time_s).0.sin_cos();
-        sample.field_ut = Some([20.0 * sin, 20.0 * cos, -40.0]);
+    for (sample, time) in recording.samples.v.iter_mut().zip(&recording.samples.t) {
+        let (sin, cos) = truth(time.s()).0.sin_cos();
+        sample.field_ut = Some([20.0 * sin, 20.0 * cos, -40.0].into());
     }
     let magnet = "the magnetic field contradicted";
     let path = navigate(&recording, &aided(fixes.clone(), 0.0)).unwrap();
     assert!(!says(&path, magnet), "{:?}", path.findings);
-    for (sample, time_s) in recording.samples.iter_mut().zip(&recording.times_s) {
-        if (10.0..25.0).contains(time_s)
+    for (sample, time) in recording.samples.v.iter_mut().zip(&recording.samples.t) {
+        if (10.0..25.0).contains(&time.s())
             && let Some(field) = &mut sample.field_ut
         {
             field[0] += 80.0;
@@ -351,19 +352,19 @@ fn height_m(time_s: f64) -> f64 {
 }
 
 /// A unit in the lift, whose accelerometer has a bias.
-fn lifted() -> MotionRecording {
+fn lifted() -> Imu {
     let mut random = Random::new(7);
-    let sample = |k: u32| {
+    let mut recording = Imu::new("lift");
+    for k in 0..6000_u32 {
         let above_s = f64::from(k) * 0.01 - 10.0;
         let up = if above_s > 0.0 { 3.0 * above_s.cos() } else { 0.0 };
         let noise = random.normals(0.02);
-        let rate_rad_s = Some(random.normals(0.001));
-        let force_mps2 = [noise[0], noise[1], GRAVITY + up + 0.03 + noise[2]];
-        UnitSample { step_s: 0.01, force_mps2, rate_rad_s, field_ut: None }
-    };
-    let samples = (0..6000).map(sample).collect();
-    let times = (0..6000).map(|k| f64::from(k) * 0.01).collect();
-    MotionRecording::new("lift", times, samples)
+        let rate_rad_s = Some(random.normals(0.001).into());
+        let force_mps2 = [noise[0], noise[1], GRAVITY + up + 0.03 + noise[2]].into();
+        let sample = Sample { force_mps2, rate_rad_s, ..Sample::default() };
+        recording.push(Ns::from_s(f64::from(k) * 0.01), sample);
+    }
+    recording
 }
 
 #[test]

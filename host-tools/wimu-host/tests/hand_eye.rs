@@ -2,7 +2,8 @@
 
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use wimu_host::hand_eye::{HandEye, HandEyeOptions, PoseStream, StreamPose, hand_eye};
-use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::imu::{Imu, Sample};
+use wimu_host::series::Ns;
 use wimu_testkit::{Coverage, Random, coverage_figure, draws};
 
 /// Standard deviation of the camera's rotation, rad, and position, m.
@@ -95,21 +96,18 @@ impl Rig {
     }
 
     /// Angular rates of the body at 200 Hz, with the bias and noise of a consumer sensor.
-    fn gyroscope(&self, seconds: f64, random: &mut Random) -> MotionRecording {
+    fn gyroscope(&self, seconds: f64, random: &mut Random) -> Imu {
         let step_s = 0.005;
         let bias = Vector3::from(random.normals(0.005));
-        let times: Vec<f64> = (0..(seconds / step_s) as usize).map(|k| step_s * k as f64).collect();
-        let sample = |time_s: &f64| {
-            let [before, now] = [time_s - step_s, *time_s].map(|t| self.body(t).rotation);
+        let mut recording = Imu::new("imu");
+        for k in 0..(seconds / step_s) as usize {
+            let time_s = step_s * k as f64;
+            let [before, now] = [time_s - step_s, time_s].map(|t| self.body(t).rotation);
             let rate = (before.inverse() * now).scaled_axis() / step_s;
-            UnitSample {
-                step_s,
-                rate_rad_s: Some((rate + bias + Vector3::from(random.normals(0.002))).into()),
-                ..UnitSample::default()
-            }
-        };
-        let samples = times.iter().map(sample).collect();
-        MotionRecording::new("imu", times, samples)
+            let rate_rad_s = Some(rate + bias + Vector3::from(random.normals(0.002)));
+            recording.push(Ns::from_s(time_s), Sample { rate_rad_s, ..Sample::default() });
+        }
+        recording
     }
 
     fn rotation_error(&self, found: &HandEye) -> Vector3<f64> {

@@ -1,13 +1,13 @@
 //! What navigating a file claims.
 
-use crate::common::{UNITS, push};
+use crate::common::{UNITS, push, read};
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::Code;
 use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry};
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::{Aids, Choice, InertialPath, Method, StartPose, Zupt, navigate};
-use wimu_host::motion::UnitSample;
-use wimu_host::motion::{MotionRecording, Truth};
+use wimu_host::series::{Flags, Ns};
 
 /// A file that is removed when dropped.
 fn file(text: &str) -> TempPath {
@@ -17,46 +17,39 @@ fn file(text: &str) -> TempPath {
 }
 
 /// Rest, 0.5 m along x in 1.5 s, rest; bias 0.03 m/s² and a little deterministic noise.
-fn slide() -> MotionRecording {
-    let mut recording = MotionRecording::default();
+fn slide() -> Imu {
+    let mut recording = Imu::default();
     for k in 0..450 {
         let t = f64::from(k) * 0.01;
         let tau = ((t - 1.5) / 1.5).clamp(0.0, 1.0);
         let curve = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) * 0.5 / 2.25;
         let path = tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau);
         let noise = f64::from((k * 7919) % 13 - 6) * 0.003;
-        recording.times_s.push(t);
-        recording.samples.push(UnitSample {
-            step_s: if k == 0 { 0.0 } else { 0.01 },
-            force_mps2: [curve + 0.03 + noise, -noise, 9.80665 + noise],
-            ..UnitSample::default()
-        });
-        recording.truth.push(Some(Truth {
-            position_m: [0.5 * path, 0.0, 0.0],
-            quaternion: [1.0, 0.0, 0.0, 0.0],
-        }));
+        let force_mps2 = [curve + 0.03 + noise, -noise, 9.80665 + noise].into();
+        let time = Ns::from_s(t);
+        recording.push(time, Sample { force_mps2, ..Sample::default() });
+        let truth = &mut recording.reference;
+        truth.position_m.push(time, [0.5 * path, 0.0, 0.0].into(), Flags::NONE);
+        truth.quaternion.push(time, [1.0, 0.0, 0.0, 0.0].into(), Flags::NONE);
     }
     recording
 }
 
 /// At rest for so long, s, before [`slide`]'s move; time jumps by `gap_s` a second before its end.
-fn slide_after(rest_s: f64, gap_s: f64) -> MotionRecording {
-    let mut recording = MotionRecording::default();
+fn slide_after(rest_s: f64, gap_s: f64) -> Imu {
+    let mut recording = Imu::default();
     let moved = slide();
     let before = (rest_s * 100.0) as usize;
+    let mut time = Ns::default();
     for k in 0..before + moved.samples.len() {
         let after = k.checked_sub(before);
         let from = after.unwrap_or(k % 100);
-        let mut sample = moved.samples[from];
-        sample.rate_rad_s = Some([0.001, -0.002, 0.0015].map(|r| r * ((k * 31) % 7) as f64 / 3.0));
-        sample.step_s = if k == 0 { 0.0 } else { 0.01 };
-        if k + 100 == before {
-            sample.step_s += gap_s;
-        }
-        let last = recording.times_s.last().copied().unwrap_or_default();
-        recording.times_s.push(last + sample.step_s);
-        recording.samples.push(sample);
-        recording.truth.push(moved.truth[from]);
+        let rate = [0.001, -0.002, 0.0015].map(|r| r * ((k * 31) % 7) as f64 / 3.0);
+        time = time.after_s(if k + 100 == before { 0.01 + gap_s } else { 0.01 });
+        recording.push(time, Sample { rate_rad_s: Some(rate.into()), ..moved.samples.v[from] });
+        let (truth, known) = (&mut recording.reference, &moved.reference);
+        truth.position_m.push(time, known.position_m.v[from], Flags::NONE);
+        truth.quaternion.push(time, known.quaternion.v[from], Flags::NONE);
     }
     recording
 }
@@ -88,22 +81,19 @@ fn position_is_measured_from_the_end_of_the_first_rest_however_long_it_was() {
 }
 
 /// Two rests with a turn of 1 rad about x between, as a gyroscope with its scale times `scale` shows it.
-fn turned(scale: f64) -> MotionRecording {
-    let mut recording = MotionRecording::default();
+fn turned(scale: f64) -> Imu {
+    let mut recording = Imu::default();
     for k in 0..600_u32 {
         let t = f64::from(k) * 0.01;
         let tau = (t - 2.5).clamp(0.0, 1.0);
         let angle = tau * tau * (3.0 - 2.0 * tau);
         let rate = 6.0 * tau * (1.0 - tau);
         let noise = f64::from((k * 7919) % 13) * 0.003 - 0.018;
-        recording.times_s.push(t);
-        recording.samples.push(UnitSample {
-            step_s: if k == 0 { 0.0 } else { 0.01 },
-            force_mps2: [noise, 9.80665 * angle.sin() - noise, 9.80665 * angle.cos() + noise],
-            field_ut: None,
-            rate_rad_s: Some([scale * rate + 0.1 * noise, 0.1 * noise, -0.1 * noise]),
-        });
-        recording.truth.push(None);
+        let force = [noise, 9.80665 * angle.sin() - noise, 9.80665 * angle.cos() + noise];
+        let rate = [scale * rate + 0.1 * noise, 0.1 * noise, -0.1 * noise];
+        let sample =
+            Sample { force_mps2: force.into(), rate_rad_s: Some(rate.into()), ..Sample::default() };
+        recording.push(Ns::from_s(t), sample);
     }
     recording
 }
@@ -124,8 +114,8 @@ fn a_gyroscope_that_contradicts_gravity_is_not_used_and_reported() {
 
 /// Turns about the vertical for `lasts_s` with the rate rising and falling in `ramp_s`, at `radius_m` from the axis,
 /// twice, with rests between; the gyroscope's rate times `scale`. The field is turned by a room, or not.
-fn level(radius_m: f64, rate: f64, lasts_s: f64, scale: f64, turned_rad: f64) -> MotionRecording {
-    let mut recording = MotionRecording::default();
+fn level(radius_m: f64, rate: f64, lasts_s: f64, scale: f64, turned_rad: f64) -> Imu {
+    let mut recording = Imu::default();
     let ramp_s = 0.4;
     let mut heading = 0.0;
     let count = ((2.0 + 2.0 * (lasts_s + 2.0)) * 100.0) as u32;
@@ -147,22 +137,16 @@ fn level(radius_m: f64, rate: f64, lasts_s: f64, scale: f64, turned_rad: f64) ->
         let noise = |salt: u32| f64::from((k * 7919 + salt) % 13) - 6.0;
         // Each turn, the room turns the field more.
         let field = heading - turned_rad * (t / (lasts_s + 2.0)).floor();
-        recording.times_s.push(t);
-        recording.samples.push(UnitSample {
-            step_s: if k == 0 { 0.0 } else { 0.01 },
-            force_mps2: [
-                radius_m * dw + 0.003 * noise(1),
-                radius_m * w * w + 0.003 * noise(5),
-                9.80665 + 0.003 * noise(9),
-            ],
-            field_ut: Some([20.0 * field.sin(), 20.0 * field.cos(), -40.0]),
-            rate_rad_s: Some([
-                0.01 + 0.0003 * noise(2),
-                0.0003 * noise(3),
-                scale * w - 0.01 + 0.0003 * noise(4),
-            ]),
-        });
-        recording.truth.push(None);
+        let [x, y] = [radius_m * dw + 0.003 * noise(1), radius_m * w * w + 0.003 * noise(5)];
+        let rate = [0.01, 0.0, scale * w - 0.01];
+        let rate = [2, 3, 4].map(|k| rate[k as usize - 2] + 0.0003 * noise(k));
+        let sample = Sample {
+            step_s: 0.0,
+            force_mps2: [x, y, 9.80665 + 0.003 * noise(9)].into(),
+            field_ut: Some([20.0 * field.sin(), 20.0 * field.cos(), -40.0].into()),
+            rate_rad_s: Some(rate.into()),
+        };
+        recording.push(Ns::from_s(t), sample);
     }
     recording
 }
@@ -186,9 +170,9 @@ fn a_rotation_about_the_vertical_keeps_its_gyroscope() {
 #[test]
 fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
     let mut down = slide();
-    for sample in &mut down.samples {
+    for sample in &mut down.samples.v {
         sample.force_mps2 = sample.force_mps2.map(|f| -f);
-        sample.field_ut = Some([0.0, 20.0, -44.0]);
+        sample.field_ut = Some([0.0, 20.0, -44.0].into());
     }
     let path = navigate(&down, &Choice::default()).unwrap();
     assert!(
@@ -198,10 +182,8 @@ fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
     );
     for (factor, unit) in [(1e3, "Time (ms)"), (1e6, "Time (us)"), (1e-3, "unit of its times")] {
         let mut other = slide();
-        for time in &mut other.times_s {
-            *time *= factor;
-        }
-        for sample in &mut other.samples {
+        for (time, sample) in other.samples.t.iter_mut().zip(&mut other.samples.v) {
+            *time = Ns::from_s(time.s() * factor);
             sample.step_s *= factor;
         }
         let refused = navigate(&other, &Choice::default()).unwrap_err();
@@ -213,7 +195,7 @@ fn an_accelerometer_that_gives_gravity_and_times_in_another_unit_are_said() {
 #[test]
 fn a_bias_of_the_vertical_is_not_taken_for_gravity() {
     let mut recording = turned(1.0);
-    for sample in &mut recording.samples {
+    for sample in &mut recording.samples.v {
         sample.force_mps2[2] += 0.07;
     }
     assert_eq!(recording.gravity_mps2(), 9.80665);
@@ -224,7 +206,7 @@ fn a_bias_of_the_vertical_is_not_taken_for_gravity() {
         assert!(off < 3.0 * point.sd_m().max(0.003), "{point:?}");
     }
     // One that is not calibrated shows its own.
-    for sample in &mut recording.samples {
+    for sample in &mut recording.samples.v {
         sample.force_mps2 = sample.force_mps2.map(|f| 1.05 * f);
     }
     assert!(recording.gravity_mps2() > 10.2);
@@ -241,7 +223,7 @@ fn a_straight_move_without_a_gyroscope_is_as_long_as_it_was() {
     assert!((one.length_m - 0.5).abs() < 2.0 * one.length_sd_m, "{one:?}");
     // The same with a tilt of 3 degrees at its end: it was rotated.
     let mut tilted = slide();
-    for sample in &mut tilted.samples[300..] {
+    for sample in &mut tilted.samples.v[300..] {
         sample.force_mps2[1] += 9.80665 * 3_f64.to_radians();
     }
     let path = navigate(&tilted, &Choice::default()).unwrap();
@@ -253,23 +235,21 @@ fn constant_velocity_between_two_accelerations_is_not_taken_for_a_rest() {
     // After 5 s of rest 0.2 m/s for 3 s, as quiet as a rest: 0.66 m.
     let recording = slide();
     let rest = |k: usize| f64::from((k as u32 * 7919) % 13) * 0.003 - 0.018;
-    let (mut times, mut samples) = (Vec::new(), Vec::new());
+    let mut constant = Imu::new("constant");
     for k in 0..1050 {
         let push = match k {
             500..530 => 0.2 / 0.3,
             830..860 => -0.2 / 0.3,
             _ => 0.0,
         };
-        times.push(k as f64 * 0.01);
-        samples.push(UnitSample {
-            step_s: 0.01,
-            force_mps2: [push + 0.03 + rest(k), -rest(k), 9.80665 + rest(k)],
-            rate_rad_s: Some([0.01 * rest(k), -0.01 * rest(k), 0.01 * rest(k)]),
-            ..recording.samples[0]
-        });
+        let sample = Sample {
+            force_mps2: [push + 0.03 + rest(k), -rest(k), 9.80665 + rest(k)].into(),
+            rate_rad_s: Some([0.01 * rest(k), -0.01 * rest(k), 0.01 * rest(k)].into()),
+            ..recording.samples.v[0]
+        };
+        constant.push(Ns::from_s(k as f64 * 0.01), sample);
     }
-    let recording = MotionRecording::new("constant", times, samples);
-    let path = navigate(&recording, &Choice::default()).unwrap();
+    let path = navigate(&constant, &Choice::default()).unwrap();
     let end = path.points.last().unwrap();
     assert!(
         (end.position_m[0].hypot(end.position_m[1]) - 0.66).abs() < 3.0 * end.sd_m(),
@@ -331,11 +311,9 @@ fn the_path_is_written_with_the_columns_that_were_promised() {
 #[test]
 fn past_the_limit_the_position_is_marked_unusable() {
     let mut recording = slide();
-    let rest = recording.samples[0];
+    let rest = recording.samples.v[0];
     for k in 0..3000 {
-        recording.times_s.push(4.5 + f64::from(k) * 0.01);
-        recording.samples.push(UnitSample { step_s: 0.01, ..rest });
-        recording.truth.push(None);
+        recording.push(Ns::from_s(4.5 + f64::from(k) * 0.01), rest);
     }
     let choice = Choice { zupt: Zupt::Off, limit_m: 0.3, ..Choice::default() };
     let path = navigate(&recording, &choice).unwrap();
@@ -350,7 +328,7 @@ fn past_the_limit_the_position_is_marked_unusable() {
 #[test]
 fn what_a_file_does_not_support_is_refused() {
     let mut recording = slide();
-    for sample in &mut recording.samples {
+    for sample in &mut recording.samples.v {
         sample.force_mps2 = sample.force_mps2.map(|f| 0.5 * f);
     }
     let refused = navigate(&recording, &Choice::default()).unwrap_err();
@@ -358,7 +336,7 @@ fn what_a_file_does_not_support_is_refused() {
 
     let head = "Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)";
     let counts = file(&format!("{head}\n0,1,2,3\n1,1,2,3\n"));
-    let refused = MotionRecording::from_csv(&counts).unwrap_err();
+    let refused = read(&counts).unwrap_err();
     assert_eq!(refused.code, Code::UnknownFormat);
     let refused = Array::read(&[&counts], &UNITS).unwrap_err();
     assert_eq!(refused.code, Code::Usage);

@@ -2,11 +2,13 @@
 
 use std::path::PathBuf;
 
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::InertialPath;
+use wimu_host::inertial::aids::Aid;
 use wimu_host::localization::{
-    AnchorPosition, Increment, LocalizationChoice, RangeRecording, RangeSample, Ranged, localize,
+    AnchorPosition, Increment, LocalizationChoice, RangeRecording, Ranged, localize,
 };
-use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::series::Ns;
 use wimu_host::{Code, Problem, Severity};
 use wimu_testkit::{Coverage, Lane, Random, rms_ratio_can_be};
 
@@ -50,7 +52,7 @@ fn hall(seed: u64, anchors: &[[f64; 3]]) -> Hall {
                 decay * errors[anchor] + 0.06 * (1.0 - decay * decay).sqrt() * random.normal();
             let error = biases_m[anchor] + errors[anchor] + 0.03 * random.normal();
             let range_m = distance(path(time_s), *place) + error;
-            ranges.push(RangeSample { time_s, anchor, range_m });
+            ranges.push(Aid::range(time_s, anchor, range_m));
         }
     }
     let named = |(k, position_m): (usize, &[f64; 3])| AnchorPosition {
@@ -163,7 +165,7 @@ fn a_path_that_is_not_determined_is_refused_with_its_cause() {
     assert!(text.contains("on a line") && text.contains("at best"), "{text}");
     let mut millimetres = hall(2, &HALL).recording;
     for range in &mut millimetres.ranges {
-        range.range_m *= 1e3;
+        range.value[0] *= 1e3;
     }
     let text = refused(&millimetres);
     assert!(text.contains("check the units") && !text.contains("line"), "{text}");
@@ -173,8 +175,8 @@ fn a_path_that_is_not_determined_is_refused_with_its_cause() {
 fn a_moved_anchor_is_named_with_its_time() {
     for moved_m in [1.0, -1.0] {
         let mut hall = hall(3, &HALL);
-        for range in hall.recording.ranges.iter_mut().filter(|r| r.anchor == 2 && r.time_s > 30.0) {
-            range.range_m += moved_m;
+        for range in hall.recording.ranges.iter_mut().filter(|r| r.source == 2 && r.time_s > 30.0) {
+            range.value[0] += moved_m;
         }
         let found = found(&hall.recording);
         let how = if moved_m > 0.0 { "longer" } else { "shorter" };
@@ -196,7 +198,7 @@ fn ranges_without_line_of_sight_have_little_weight() {
         let mut random = Random::new(100 + seed);
         for range in &mut hall.recording.ranges {
             if random.uniform() < 0.5 {
-                range.range_m += 0.3 + 2.7 * random.uniform();
+                range.value[0] += 0.3 + 2.7 * random.uniform();
             }
         }
         let found = found(&hall.recording);
@@ -211,8 +213,8 @@ fn a_position_that_jumps_is_reported_and_found_again() {
     // The unit is carried to another place while the radio is off.
     for range in hall.recording.ranges.iter_mut().filter(|r| r.time_s > 30.0) {
         let [e, n, u] = path(range.time_s);
-        range.range_m +=
-            distance([e - 4.0, n, u], HALL[range.anchor]) - distance([e, n, u], HALL[range.anchor]);
+        range.value[0] +=
+            distance([e - 4.0, n, u], HALL[range.source]) - distance([e, n, u], HALL[range.source]);
     }
     let found = found(&hall.recording);
     let jump = finding(&found, Code::Navigation, "may jump").expect("reported");
@@ -298,7 +300,7 @@ fn vehicle(late_s: f64) -> RangeRecording {
             let anchor = k % 3;
             let at = [truth[5 * k][0], truth[5 * k][1], 0.0];
             let range_m = distance(at, anchors[anchor]) * 1.05 + 0.3 * random.normal();
-            RangeSample { time_s: 0.5 * k as f64 + late_s, anchor, range_m }
+            Aid::range(0.5 * k as f64 + late_s, anchor, range_m)
         })
         .collect();
     hall.recording
@@ -365,7 +367,7 @@ fn a_gyroscope_does_not_make_the_path_worse() {
     let hall = hall(8, &HALL);
     let alone = rmse(&found(&hall.recording));
     let mut random = Random::new(80);
-    let (mut motion, step) = (MotionRecording::new("imu", Vec::new(), Vec::new()), 0.01);
+    let (mut motion, step) = (Imu::new("imu"), 0.01);
     for k in 0..6000 {
         let t = f64::from(k) * step;
         // The body turns about the vertical; the body is at 1 rad at the start.
@@ -376,14 +378,11 @@ fn a_gyroscope_does_not_make_the_path_worse() {
         let [e, n] = [second(0), second(1)];
         let (s, c) = heading.sin_cos();
         let force = [c * e + s * n, c * n - s * e, second(2) + G];
-        motion.times_s.push(t);
-        motion.truth.push(None);
-        motion.samples.push(UnitSample {
-            step_s: step,
-            force_mps2: force.map(|f| f + 0.03 + 0.05 * random.normal()),
-            field_ut: None,
-            rate_rad_s: Some([0.002, -0.003, 0.2 + 0.004].map(|w| w + 0.003 * random.normal())),
-        });
+        let force = force.map(|f| f + 0.03 + 0.05 * random.normal());
+        let rate = [0.002, -0.003, 0.2 + 0.004].map(|w| w + 0.003 * random.normal());
+        let sample =
+            Sample { force_mps2: force.into(), rate_rad_s: Some(rate.into()), ..Sample::default() };
+        motion.push(Ns::from_s(t), sample);
     }
     let recording = RangeRecording { motion: Some(motion), ..hall.recording };
     let found = found(&recording);
@@ -431,7 +430,7 @@ fn columns_of_ranges_and_other_units_are_read() {
     let (_folder, [ranges, anchors]) = files(ranges, ANCHORS);
     let recording = RangeRecording::read(&ranges, &anchors).unwrap();
     let read: Vec<(f64, usize, f64)> =
-        recording.ranges.iter().map(|r| (r.time_s, r.anchor, r.range_m)).collect();
+        recording.ranges.iter().map(|r| (r.time_s, r.source, r.value[0])).collect();
     assert_eq!(read, [(0.0, 0, 2.0), (0.0, 1, 3.0), (0.1, 0, 2.1)]);
 }
 

@@ -2,7 +2,7 @@
 
 use wimu_host::Code;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::motion::sampled_times;
+use wimu_host::inertial::sampled_times;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 

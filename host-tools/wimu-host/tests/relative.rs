@@ -1,7 +1,7 @@
 //! Rotation between two units of a simulated joint, against the truth.
 
 use nalgebra::Vector3;
-use wimu_host::motion::MotionRecording;
+use wimu_host::imu::Imu;
 use wimu_host::relative::{
     Body, LiveRelative, RelativeChoice, RelativePath, RelativePoint, relative,
 };
@@ -136,9 +136,10 @@ fn different_rates_and_repeated_rows_give_the_same_angle() {
 fn a_gap_is_not_valid_and_the_angle_is_found_again() {
     let rig = Rig::knee(8);
     let [a, mut b] = rig.record();
-    let gap = b.times_s.partition_point(|t| *t < 9.0)..b.times_s.partition_point(|t| *t < 11.0);
-    b.times_s.drain(gap.clone());
-    b.samples.drain(gap);
+    let after = |time_s: f64| b.samples.t.partition_point(|t| t.s() < time_s);
+    let gap = after(9.0)..after(11.0);
+    b.samples.t.drain(gap.clone());
+    b.samples.v.drain(gap);
     let found = relative([&a, &b], &RelativeChoice::default()).unwrap();
     let lost = found.points.iter().filter(|p| !p.valid);
     assert!(lost.clone().count() > 90 && lost.clone().all(|p| (8.9..11.1).contains(&p.time_s)));
@@ -158,7 +159,7 @@ fn what_the_data_do_not_show_is_refused_or_reported() {
     refused(run(&stiff, &RelativeChoice::default()), "hardly moves");
     let [a, mut b] = stiff.record();
     refused(relative([&a, &a.clone()], &RelativeChoice::default()), "same samples");
-    b.samples.iter_mut().for_each(|sample| sample.rate_rad_s = None);
+    b.samples.v.iter_mut().for_each(|sample| sample.rate_rad_s = None);
     refused(relative([&a, &b], &RelativeChoice::default()), "no angular rates");
     let resting = Rig { base: [0.0; 2], behind_s: 1000.0, ..stiff };
     refused(run(&resting, &RelativeChoice::default()), "in common");
@@ -201,14 +202,15 @@ fn live(rig: &Rig, choice: RelativeChoice) -> (Vec<RelativePoint>, LiveRelative)
             Body::B => (rig.behind_s, 0.045),
         };
         let mut arrived_s = 0.0_f64;
-        for (time_s, sample) in recording.times_s.into_iter().zip(recording.samples) {
+        for (time, sample) in recording.samples.t.iter().zip(recording.samples.v) {
+            let time_s = time.s();
             let sent_s = time_s + ahead_s;
             arrived_s = arrived_s.max(sent_s + delay_s + 0.02 * random.uniform());
             arrivals.push((arrived_s, body, time_s, sample));
         }
     }
     arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let of = ["A", "B"].map(|name| MotionRecording::new(name, Vec::new(), Vec::new()));
+    let of = ["A", "B"].map(Imu::new);
     let mut live = LiveRelative::new(choice, of);
     let mut points = Vec::new();
     for (arrived_s, body, time_s, sample) in arrivals {

@@ -1,7 +1,8 @@
 //! A simulated joint: two bodies, a unit on each, and their true rotation.
 
 use nalgebra::{Rotation3, Vector3};
-use wimu_host::motion::{MotionRecording, UnitSample};
+use wimu_host::imu::{Imu, Sample};
+use wimu_host::series::Ns;
 use wimu_testkit::Random;
 
 const GRAVITY_MPS2: f64 = 9.80665;
@@ -98,17 +99,17 @@ impl Rig {
     }
 
     /// What both units record.
-    pub fn record(&self) -> [MotionRecording; 2] {
+    pub fn record(&self) -> [Imu; 2] {
         [0, 1].map(|unit| self.unit(unit))
     }
 
-    fn unit(&self, unit: usize) -> MotionRecording {
+    fn unit(&self, unit: usize) -> Imu {
         let mut random = Random::new(self.seed * 2 + unit as u64 + 1000);
         let size = f64::from(u8::from(self.errors));
         let rate_hz = self.rates_hz[unit];
         let mut draw = |sd: f64| Vector3::from(random.normals(sd * size));
         let (rate_bias, force_bias, scale) = (draw(0.01), draw(0.05), draw(0.01));
-        let (mut times_s, mut samples) = (Vec::new(), Vec::new());
+        let mut recording = Imu::new(["thigh", "shank"][unit]);
         for k in 0..(self.seconds * rate_hz) as usize {
             let t = k as f64 / rate_hz;
             let at = |t: f64| (self.attitudes(t)[unit], self.positions(t)[unit]);
@@ -117,24 +118,20 @@ impl Rig {
             let acceleration = (before.1 + after.1 - now.1 * 2.0) / DERIVATIVE_S.powi(2);
             let force = now.0.inverse() * (acceleration + Vector3::z() * GRAVITY_MPS2);
             let root = rate_hz.sqrt();
-            let sample = UnitSample {
+            let sample = Sample {
                 step_s: 0.0,
-                force_mps2: (force + force_bias + draw(0.005 * root)).into(),
+                force_mps2: force + force_bias + draw(0.005 * root),
                 rate_rad_s: Some(
-                    (rate + rate.component_mul(&scale) + rate_bias + draw(2.5e-4 * root)).into(),
+                    rate + rate.component_mul(&scale) + rate_bias + draw(2.5e-4 * root),
                 ),
-                field_ut: self
-                    .field_ut
-                    .map(|field| (now.0.inverse() * Vector3::from(field)).into()),
+                field_ut: self.field_ut.map(|field| now.0.inverse() * Vector3::from(field)),
             };
             let late_s = if unit == 1 { self.behind_s } else { 0.0 };
             for row in 0..self.rows {
                 let time_s = t + row as f64 / (rate_hz * self.rows as f64) - late_s;
-                let last_s = times_s.last().copied().unwrap_or(time_s);
-                samples.push(UnitSample { step_s: time_s - last_s, ..sample });
-                times_s.push(time_s);
+                recording.push(Ns::from_s(time_s), sample);
             }
         }
-        MotionRecording::new(["thigh", "shank"][unit], times_s, samples)
+        recording
     }
 }

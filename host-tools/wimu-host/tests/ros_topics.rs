@@ -6,10 +6,10 @@ use std::process::Command;
 use serde_json::Value;
 use wimu_host::apply::CorrectedRecording;
 use wimu_host::calibration::Calibration;
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::{Choice, navigate};
-use wimu_host::motion::MotionRecording;
-use wimu_host::motion::UnitSample;
 use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
+use wimu_host::series::Ns;
 use wimu_model::{ParameterSet, Sensitivity};
 
 /// Messages of each topic, flat lists of their values, as both Python packages `rosbags` and `mcap-ros2-support` read
@@ -41,12 +41,10 @@ fn numbers(message: &[Value]) -> Vec<f64> {
 fn a_path_is_read_with_odometry_and_transforms() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("path.mcap");
-    let mut recording = MotionRecording::default();
+    let mut recording = Imu::default();
     for k in 0..2500 {
-        let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
-        recording.times_s.push(f64::from(k) * 0.01);
-        recording.samples.push(UnitSample { step_s: 0.01, force_mps2, ..UnitSample::default() });
-        recording.truth.push(None);
+        let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }].into();
+        recording.push(Ns::from_s(f64::from(k) * 0.01), Sample { force_mps2, ..Sample::default() });
     }
     let choice = Choice::default();
     let mut path = navigate(&recording, &choice).unwrap();

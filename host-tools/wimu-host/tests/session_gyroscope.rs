@@ -80,6 +80,16 @@ fn counts_of_unknown_unit_are_those_of_a_usual_sensitivity() {
 }
 
 #[test]
+fn swapped_axes_of_counts_of_unknown_unit_are_found() {
+    let unit = Unit::Counts { si_per_lsb: None };
+    let swapped = |[x, y, z]: [f64; 3]| [y, x, z].map(|w| (w.to_degrees() * 65.5).round());
+    let report = calibrated(&session(unit, swapped));
+    let texts = report.outcome.findings.iter().map(|problem| problem.text.as_str());
+    assert!(texts.clone().any(|text| text.contains("X = Y, Y = X, Z = Z")), "{report:?}");
+    assert!(!texts.clone().any(|text| text.contains("cannot be detected")), "{report:?}");
+}
+
+#[test]
 fn scale_factors_ten_percent_off_are_found() {
     let report = calibrated(&session(Unit::Si, |w| w.map(|w| 1.1 * w)));
     let found = report.gyroscope.as_ref().expect("a gyroscope");

@@ -3,13 +3,12 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::common::UNITS;
+use crate::common::{UNITS, read};
 use proptest::prelude::*;
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry, ArrayUnit};
 use wimu_host::inertial::{Choice, InertialPath, Profile, Zupt, navigate, navigate_array};
-use wimu_host::motion::MotionRecording;
 use wimu_host::{Code, Problem};
 use wimu_testkit::{Lane, Random};
 
@@ -115,7 +114,7 @@ proptest! {
         columns in prop::sample::select(vec![3_usize, 6, 9]),
     ) {
         let csv = file(&table(shake, &wild, &ALL[..columns], seed));
-        let recording = MotionRecording::from_csv(&csv).unwrap();
+        let recording = read(&csv).unwrap();
         for choice in choices() {
             check(navigate(&recording, &choice))?;
         }
@@ -151,7 +150,7 @@ fn a_recording_on_which_a_filter_diverged_has_finite_estimates_throughout() {
     if !csv.exists() {
         return;
     }
-    let recording = MotionRecording::from_csv(&csv).unwrap();
+    let recording = read(&csv).unwrap();
     // Each profile, and each treatment of rests.
     for choice in choices().step_by(4) {
         let path = navigate(&recording, &choice).unwrap();
@@ -166,7 +165,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
     let columns = &ALL[..6];
     let with = |wild: &[(usize, usize, f64)], choice: &Choice| {
         let csv = file(&table(0.3, wild, columns, 7));
-        navigate(&MotionRecording::from_csv(&csv).unwrap(), choice).unwrap()
+        navigate(&read(&csv).unwrap(), choice).unwrap()
     };
     let apart = |a: &InertialPath, b: &InertialPath| {
         let pairs = a.points.iter().zip(&b.points);
@@ -189,7 +188,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
         }
         // Within the full scale it is a shock, which the rest after it contradicts.
         let csv = file(&table(0.3, &[(300, 0, 1999.0)], columns, 7));
-        match navigate(&MotionRecording::from_csv(&csv).unwrap(), &choice) {
+        match navigate(&read(&csv).unwrap(), &choice) {
             Ok(path) => assert!(!says(&path, "full scale")),
             Err(error) => assert!(error.text.contains("rests or fixes contradict the path")),
         }
@@ -204,7 +203,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
     // Whose accelerometer gives nothing else is refused.
     let all: Vec<_> = (0..350).map(|k| (k, 1, 3000.0)).collect();
     let csv = file(&table(0.3, &all, columns, 7));
-    let refused = navigate(&MotionRecording::from_csv(&csv).unwrap(), &Choice::default());
+    let refused = navigate(&read(&csv).unwrap(), &Choice::default());
     assert!(refused.unwrap_err().text.contains("full scale, 2000 m/s², in 350 samples"));
 }
 

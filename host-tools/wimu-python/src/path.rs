@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
+use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::inertial::{
     self, Choice, InertialPath, Method, PathPoint, Profile, StartPose, Zupt,
 };
-use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::{Code, Input, capture, navigation};
 
 use crate::arrays::{Array1, Array2, Array3, column, matrices, plain, table};
@@ -239,7 +239,7 @@ fn motion(
     source: &Source,
     calibration: Option<&Correction>,
     sensitivity_lsb_per_g: Option<f64>,
-) -> wimu_host::Result<MotionRecording> {
+) -> wimu_host::Result<Imu> {
     if let Some(path) = source.path()
         && let Input::Recording(path) = Input::parse(&path.to_string_lossy())?
     {
@@ -253,10 +253,10 @@ fn motion(
         let parameters = calibration.map(Correction::parameters).transpose()?;
         return navigation::motion(&recording.name, boot, parameters.as_ref());
     }
-    let options = TableOptions {
+    let options = ImuOptions {
         calibration: calibration.map(Correction::sensor).transpose()?,
         sensitivity_lsb_per_g,
     };
     let data = source.data()?;
-    MotionRecording::of(&data, &options)
+    Imu::of(&data, &options)
 }

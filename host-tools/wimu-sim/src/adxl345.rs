@@ -9,7 +9,7 @@
 
 use std::collections::VecDeque;
 
-use crate::chip::{Chip, FifoMode, Registers};
+use crate::chip::{Chip, Core, FifoMode};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source};
 use crate::spi;
@@ -50,13 +50,10 @@ const WAKE_UP_US: u64 = 1_100;
 #[derive(Debug)]
 pub(crate) struct Adxl345 {
     address: u8,
-    identity: u8,
-    registers: Registers,
+    core: Core,
     /// How far the register advances after each byte.
     step: u8,
     now: u64,
-    sampling: Option<SampleClock>,
-    taken: u64,
     fifo: VecDeque<[i16; 3]>,
     /// What the data registers show while nothing waits.
     latest: [i16; 3],
@@ -73,12 +70,9 @@ impl Adxl345 {
     pub(crate) fn new(address: u8) -> Self {
         let mut chip = Self {
             address,
-            identity: 0xE5,
-            registers: Registers::default(),
+            core: Core::of(0xE5),
             step: 1,
             now: 0,
-            sampling: None,
-            taken: 0,
             fifo: VecDeque::new(),
             latest: [0; 3],
             reading: None,
@@ -88,14 +82,6 @@ impl Adxl345 {
         };
         chip.reset();
         chip
-    }
-
-    fn register(&self, register: u8) -> u8 {
-        self.registers.get(register)
-    }
-
-    fn is_set(&self, register: u8, mask: u8) -> bool {
-        self.registers.is_set(register, mask)
     }
 
     fn mode(&self) -> FifoMode {
@@ -124,36 +110,6 @@ impl Adxl345 {
     /// Of a left-justified sample: 256 LSB/g in 10 bits at ±2 g, half of it at twice the range.
     fn lsb_per_g(&self) -> f64 {
         f64::from(16384_u32 >> (self.register(DATA_FORMAT) & 3))
-    }
-
-    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
-        let bits = self.bits();
-        let conversion = Conversion {
-            index: self.taken,
-            time_s,
-            rate_hz: self.rate_hz().unwrap_or_default(),
-            lsb_per_g: self.lsb_per_g(),
-            bits,
-        };
-        let full = self.fifo.len() >= self.watermark().max(1);
-        let unread = if self.mode() == FifoMode::Bypass { self.fresh } else { full };
-        if source.waits_for_reader() && unread {
-            return;
-        }
-        let Some(counts) = source.acceleration(&conversion) else {
-            return;
-        };
-        self.taken += 1;
-        let mut sample = counts.0;
-        let fast = self.register(BW_RATE) & RATE >= 0x0E;
-        let finest = self.is_set(DATA_FORMAT, FULL_RES) || !self.is_set(DATA_FORMAT, 3);
-        if fast && finest {
-            sample = sample.map(|axis| axis & !(1_i16 << (16 - bits)));
-        }
-        if !self.is_set(DATA_FORMAT, JUSTIFY) {
-            sample = sample.map(|axis| axis >> (16 - bits));
-        }
-        self.store(sample);
     }
 
     fn store(&mut self, sample: [i16; 3]) {
@@ -214,18 +170,53 @@ impl Adxl345 {
 }
 
 impl Chip for Adxl345 {
+    fn core(&self) -> &Core {
+        &self.core
+    }
+
+    fn core_mut(&mut self) -> &mut Core {
+        &mut self.core
+    }
+
+    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
+        let bits = self.bits();
+        let conversion = Conversion {
+            index: self.core.taken,
+            time_s,
+            rate_hz: self.rate_hz().unwrap_or_default(),
+            lsb_per_g: self.lsb_per_g(),
+            bits,
+        };
+        let full = self.fifo.len() >= self.watermark().max(1);
+        let unread = if self.mode() == FifoMode::Bypass { self.fresh } else { full };
+        if source.waits_for_reader() && unread {
+            return;
+        }
+        let Some(counts) = source.acceleration(&conversion) else {
+            return;
+        };
+        self.core.taken += 1;
+        let mut sample = counts.0;
+        let fast = self.register(BW_RATE) & RATE >= 0x0E;
+        let finest = self.is_set(DATA_FORMAT, FULL_RES) || !self.is_set(DATA_FORMAT, 3);
+        if fast && finest {
+            sample = sample.map(|axis| axis & !(1_i16 << (16 - bits)));
+        }
+        if !self.is_set(DATA_FORMAT, JUSTIFY) {
+            sample = sample.map(|axis| axis >> (16 - bits));
+        }
+        self.store(sample);
+    }
+
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
         self.now = now;
         self.leaving = self.leaving.filter(|(_, until)| now < *until);
-        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
-            self.sample(time_s, source);
-        }
+        self.take_due(now, source);
     }
 
     fn reset(&mut self) {
-        self.registers.clear();
-        self.registers.set(BW_RATE, 0x0A);
-        self.sampling = None;
+        self.core.clear();
+        self.core.registers.set(BW_RATE, 0x0A);
         self.fifo.clear();
         self.reading = None;
         self.fresh = false;
@@ -238,24 +229,24 @@ impl Chip for Adxl345 {
 
     fn begin_write(&mut self, _address: u8) {
         self.end_reading();
-        self.registers.begin();
+        self.core.registers.begin();
     }
 
     fn write(&mut self, address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if self.registers.takes_number(byte) {
-            self.registers.pointer = byte & 0x3F;
+        if self.core.registers.takes_number(byte) {
+            self.core.registers.pointer = byte & 0x3F;
             self.step = u8::from(address != spi::ADDRESS || byte & MULTIPLE != 0);
             return;
         }
-        let register = self.registers.pointer;
-        self.registers.pointer = (register + self.step) & 0x3F;
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = (register + self.step) & 0x3F;
         let read_only =
             matches!(register, DEVID | ACT_TAP_STATUS | INT_SOURCE | DATAX0..=DATAZ1 | FIFO_STATUS);
         if read_only {
             return;
         }
         let rate_before = self.rate_hz();
-        self.registers.set(register, byte);
+        self.core.registers.set(register, byte);
         if register == FIFO_CTL && self.mode() == FifoMode::Bypass {
             self.fifo.clear();
             self.overrun = false;
@@ -263,15 +254,15 @@ impl Chip for Adxl345 {
         let rate = self.rate_hz();
         if rate != rate_before {
             let begins = if rate_before.is_none() { now + WAKE_UP_US } else { now };
-            self.sampling = rate.map(|rate| SampleClock::new(rate, begins, period_error_ppm));
+            self.core.sampling = rate.map(|rate| SampleClock::new(rate, begins, period_error_ppm));
         }
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.registers.pointer;
-        self.registers.pointer = (register + self.step) & 0x3F;
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = (register + self.step) & 0x3F;
         match register {
-            DEVID => self.identity,
+            DEVID => self.core.identity,
             INT_SOURCE => self.interrupts(),
             DATAX0..=DATAZ1 => self.data(register),
             FIFO_STATUS => self.fifo.len() as u8 + u8::from(self.leaving.is_some()),
@@ -282,19 +273,6 @@ impl Chip for Adxl345 {
     fn interrupt(&self) -> bool {
         let on_int1 = self.register(INT_ENABLE) & !self.register(INT_MAP);
         (self.interrupts() & on_int1 != 0) != self.is_set(DATA_FORMAT, INVERT)
-    }
-
-    fn next_change(&self) -> Option<u64> {
-        // Any sample may raise it.
-        self.sampling.map(|sampling| sampling.next_us())
-    }
-
-    fn set_identity(&mut self, identity: u8) {
-        self.identity = identity;
-    }
-
-    fn samples_taken(&self) -> u64 {
-        self.taken
     }
 
     fn has_unread(&self) -> bool {

@@ -11,7 +11,7 @@ use wimu_model::{CentiCelsius, Counts};
 use wimu_node::sensor::{AccelerometerScale, GyroscopePlan, SensorFault};
 use wimu_node::{PolledPlanner, ReadCounts, Timer};
 
-use crate::chip::{Chip, GyroscopeFault, Registers};
+use crate::chip::{Chip, Core};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
@@ -31,13 +31,9 @@ const INVALID: i16 = i16::MIN;
 
 #[derive(Debug)]
 pub(crate) struct Icm42688 {
-    identity: u8,
-    fault: GyroscopeFault,
-    registers: Registers,
+    core: Core,
     bank: u8,
     on_us: u64,
-    sampling: Option<SampleClock>,
-    taken: u64,
     /// Temperature, accelerometer x, y, z, gyroscope x, y, z.
     output: [i16; 7],
     shown: [i16; 7],
@@ -47,13 +43,9 @@ pub(crate) struct Icm42688 {
 impl Default for Icm42688 {
     fn default() -> Self {
         let mut chip = Self {
-            identity: 0x47,
-            fault: GyroscopeFault::None,
-            registers: Registers::default(),
+            core: Core::of(0x47),
             bank: 0,
             on_us: 0,
-            sampling: None,
-            taken: 0,
             output: [INVALID; 7],
             shown: [INVALID; 7],
             fresh: false,
@@ -65,8 +57,8 @@ impl Default for Icm42688 {
 
 impl Icm42688 {
     fn rate_hz(&self) -> Option<f64> {
-        let on = self.registers.get(PWR_MGMT0) & 0b11 == 0b11;
-        let rate_hz = match self.registers.get(ACCEL_CONFIG0) & 0xF {
+        let on = self.core.registers.get(PWR_MGMT0) & 0b11 == 0b11;
+        let rate_hz = match self.core.registers.get(ACCEL_CONFIG0) & 0xF {
             code @ 3..=6 => f64::from(8000 >> (code - 3)),
             7 => 200.0,
             code @ 8..=11 => f64::from(100 >> (code - 8)),
@@ -75,15 +67,25 @@ impl Icm42688 {
         };
         on.then_some(rate_hz)
     }
+}
+
+impl Chip for Icm42688 {
+    fn core(&self) -> &Core {
+        &self.core
+    }
+
+    fn core_mut(&mut self) -> &mut Core {
+        &mut self.core
+    }
 
     fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
         if source.waits_for_reader() && self.fresh {
             return;
         }
         let rate_hz = self.rate_hz().unwrap_or_default();
-        let range = self.registers.get(ACCEL_CONFIG0) >> 5;
+        let range = self.core.registers.get(ACCEL_CONFIG0) >> 5;
         let conversion = Conversion {
-            index: self.taken,
+            index: self.core.taken,
             time_s,
             rate_hz,
             lsb_per_g: f64::from(2048_u32 << range.min(3)),
@@ -92,38 +94,27 @@ impl Icm42688 {
         let Some(force) = source.acceleration(&conversion) else {
             return;
         };
-        let range = self.registers.get(GYRO_CONFIG0) >> 5;
+        let range = self.core.registers.get(GYRO_CONFIG0) >> 5;
         let lsb_per_dps = 32_768.0 / (2000.0 / f64::from(1 << range));
         let [.., gx, gy, gz] = self.output;
-        let rate = match self.fault {
-            GyroscopeFault::None if time_s >= self.on_us as f64 * 1e-6 + TURN_ON_S => {
-                source.angular_rate(self.taken, time_s, rate_hz, lsb_per_dps)
-            }
-            GyroscopeFault::Saturates => Counts([i16::MAX; 3]),
-            _ => Counts([gx, gy, gz]),
-        };
+        let is_on = time_s >= self.on_us as f64 * 1e-6 + TURN_ON_S;
+        let taken = self.core.taken;
+        let rate = self.core.angular_rate(is_on, [gx, gy, gz], || {
+            source.angular_rate(taken, time_s, rate_hz, lsb_per_dps)
+        });
         let temperature = quantise(132.48 * (source.temperature_c(time_s) - 25.0), 16);
-        let ([x, y, z], [gx, gy, gz]) = (force.0, rate.0);
+        let ([x, y, z], [gx, gy, gz]) = (force.0, rate);
         self.output = [temperature, x, y, z, gx, gy, gz];
-        self.taken += 1;
+        self.core.taken += 1;
         self.fresh = true;
-    }
-}
-
-impl Chip for Icm42688 {
-    fn settle(&mut self, now: u64, source: &mut dyn Source) {
-        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
-            self.sample(time_s, source);
-        }
     }
 
     fn reset(&mut self) {
-        self.registers.clear();
+        self.core.clear();
         // 1 kHz.
-        self.registers.set(GYRO_CONFIG0, 0x06);
-        self.registers.set(ACCEL_CONFIG0, 0x06);
+        self.core.registers.set(GYRO_CONFIG0, 0x06);
+        self.core.registers.set(ACCEL_CONFIG0, 0x06);
         self.bank = 0;
-        self.sampling = None;
         self.output = [INVALID; 7];
         self.fresh = false;
     }
@@ -134,15 +125,15 @@ impl Chip for Icm42688 {
 
     fn begin_write(&mut self, _address: u8) {
         self.shown = self.output;
-        self.registers.begin();
+        self.core.registers.begin();
     }
 
     fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if self.registers.takes_number(byte) {
+        if self.core.registers.takes_number(byte) {
             return;
         }
-        let register = self.registers.pointer;
-        self.registers.pointer = (register + 1) & 0x7F;
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = (register + 1) & 0x7F;
         if register == REG_BANK_SEL {
             self.bank = byte & 0b111;
         }
@@ -152,7 +143,7 @@ impl Chip for Icm42688 {
             return;
         }
         let before = self.rate_hz();
-        self.registers.set(register, byte);
+        self.core.registers.set(register, byte);
         if register == DEVICE_CONFIG && byte & 1 != 0 {
             self.reset();
         }
@@ -161,44 +152,28 @@ impl Chip for Icm42688 {
             if before.is_none() {
                 self.on_us = now;
             }
-            self.sampling = rate.map(|rate| SampleClock::new(rate, now, period_error_ppm));
+            self.core.sampling = rate.map(|rate| SampleClock::new(rate, now, period_error_ppm));
         }
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.registers.pointer;
-        self.registers.pointer = (register + 1) & 0x7F;
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = (register + 1) & 0x7F;
         match register {
             REG_BANK_SEL => self.bank,
             _ if self.bank != 0 => 0,
-            WHO_AM_I => self.identity,
+            WHO_AM_I => self.core.identity,
             TEMP_DATA1..=GYRO_DATA_Z0 => {
                 self.fresh = false;
                 let byte = usize::from(register - TEMP_DATA1);
                 self.shown[byte / 2].to_be_bytes()[byte % 2]
             }
-            _ => self.registers.get(register),
+            _ => self.core.registers.get(register),
         }
     }
 
     fn interrupt(&self) -> bool {
         false
-    }
-
-    fn next_change(&self) -> Option<u64> {
-        self.sampling.map(|sampling| sampling.next_us())
-    }
-
-    fn set_identity(&mut self, identity: u8) {
-        self.identity = identity;
-    }
-
-    fn set_gyroscope_fault(&mut self, fault: GyroscopeFault) {
-        self.fault = fault;
-    }
-
-    fn samples_taken(&self) -> u64 {
-        self.taken
     }
 
     fn has_unread(&self) -> bool {

@@ -9,7 +9,7 @@
 
 use std::collections::VecDeque;
 
-use crate::chip::{Chip, FifoMode, Registers};
+use crate::chip::{Chip, Core, FifoMode, Registers};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 
@@ -63,10 +63,8 @@ const NT_PER_LSB: f64 = 150.0;
 /// Both chips of the part.
 #[derive(Debug)]
 pub(crate) struct Lsm303agr {
-    identity: u8,
-    accelerometer: Registers,
-    sampling: Option<SampleClock>,
-    taken: u64,
+    /// With the registers of the accelerometer.
+    core: Core,
     output: Output<3>,
     /// Samples that wait, while it is on; the oldest is what the output registers show.
     fifo: VecDeque<[i16; 3]>,
@@ -80,10 +78,7 @@ pub(crate) struct Lsm303agr {
 impl Default for Lsm303agr {
     fn default() -> Self {
         let mut chip = Self {
-            identity: 0x33,
-            accelerometer: Registers::default(),
-            sampling: None,
-            taken: 0,
+            core: Core::of(0x33),
             output: Output::default(),
             fifo: VecDeque::new(),
             thermometer: Output::default(),
@@ -133,8 +128,8 @@ impl<const N: usize> Output<N> {
 
 impl Lsm303agr {
     fn mode(&self) -> FifoMode {
-        if self.accelerometer.is_set(CTRL5, CTRL5_FIFO) {
-            FifoMode::of(self.accelerometer.get(FIFO_CTRL))
+        if self.core.registers.is_set(CTRL5, CTRL5_FIFO) {
+            FifoMode::of(self.core.registers.get(FIFO_CTRL))
         } else {
             FifoMode::Bypass
         }
@@ -142,21 +137,21 @@ impl Lsm303agr {
 
     /// Whether more samples wait than the threshold says.
     fn above_threshold(&self) -> bool {
-        self.fifo.len() > usize::from(self.accelerometer.get(FIFO_CTRL) & FIFO_THRESHOLD)
+        self.fifo.len() > usize::from(self.core.registers.get(FIFO_CTRL) & FIFO_THRESHOLD)
     }
 
     fn bits(&self) -> u32 {
-        match self.accelerometer.is_set(CTRL1, CTRL1_LOW_POWER) {
+        match self.core.registers.is_set(CTRL1, CTRL1_LOW_POWER) {
             true => 8,
-            false if self.accelerometer.is_set(CTRL4, CTRL4_HIGH_RESOLUTION) => 12,
+            false if self.core.registers.is_set(CTRL4, CTRL4_HIGH_RESOLUTION) => 12,
             false => 10,
         }
     }
 
     /// `None` in power-down, and for codes that the datasheet gives no rate for.
     fn rate_hz(&self) -> Option<f64> {
-        let low_power = self.accelerometer.is_set(CTRL1, CTRL1_LOW_POWER);
-        match (self.accelerometer.get(CTRL1) >> 4, low_power) {
+        let low_power = self.core.registers.is_set(CTRL1, CTRL1_LOW_POWER);
+        match (self.core.registers.get(CTRL1) >> 4, low_power) {
             (code @ 1..=7, _) => {
                 Some([1.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0][usize::from(code) - 1])
             }
@@ -169,35 +164,8 @@ impl Lsm303agr {
 
     /// Of the 16-bit register; a 12-bit digit is 1/1024, 2/1024, 4/1024 or 12/1024 g.
     fn lsb_per_g(&self) -> f64 {
-        let range = self.accelerometer.get(CTRL4) >> 4 & 0b11;
+        let range = self.core.registers.get(CTRL4) >> 4 & 0b11;
         [16384.0, 8192.0, 4096.0, 16384.0 / 12.0][usize::from(range)]
-    }
-
-    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
-        let conversion = Conversion {
-            index: self.taken,
-            time_s,
-            rate_hz: self.rate_hz().unwrap_or_default(),
-            lsb_per_g: self.lsb_per_g(),
-            bits: self.bits(),
-        };
-        let is_bypassed = self.mode() == FifoMode::Bypass;
-        let waits = if is_bypassed { self.output.fresh } else { self.above_threshold() };
-        if !(source.waits_for_reader() && waits)
-            && let Some(counts) = source.acceleration(&conversion)
-        {
-            if is_bypassed {
-                self.output.store(counts.0);
-            } else {
-                self.queue(counts.0);
-            }
-            self.taken += 1;
-        }
-        if self.accelerometer.get(TEMP_CFG) & TEMP_ENABLE == TEMP_ENABLE {
-            // Equation (38): 8 bits at low power, else 10.
-            let lsb = (source.temperature_c(time_s) - 25.0) * 256.0;
-            self.thermometer.store([quantise(lsb, self.bits().min(10))]);
-        }
     }
 
     /// A new sample replaces the oldest one even while that is read; the datasheet does not specify it.
@@ -230,7 +198,7 @@ impl Lsm303agr {
     }
 
     fn interrupts(&self) -> bool {
-        let is_on = |mask| self.accelerometer.is_set(CTRL3, mask);
+        let is_on = |mask| self.core.registers.is_set(CTRL3, mask);
         (is_on(CTRL3_WATERMARK) && self.above_threshold())
             || (is_on(CTRL3_OVERRUN) && self.fifo.len() >= FIFO_SAMPLES)
             || (is_on(CTRL3_DATA_READY) && self.has_unread())
@@ -239,7 +207,7 @@ impl Lsm303agr {
     fn registers(&mut self, address: u8) -> &mut Registers {
         match address {
             MAGNETOMETER_ADDRESS => &mut self.magnetometer,
-            _ => &mut self.accelerometer,
+            _ => &mut self.core.registers,
         }
     }
 
@@ -260,10 +228,43 @@ impl Lsm303agr {
 }
 
 impl Chip for Lsm303agr {
-    fn settle(&mut self, now: u64, source: &mut dyn Source) {
-        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
-            self.sample(time_s, source);
+    fn core(&self) -> &Core {
+        &self.core
+    }
+
+    fn core_mut(&mut self) -> &mut Core {
+        &mut self.core
+    }
+
+    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
+        let conversion = Conversion {
+            index: self.core.taken,
+            time_s,
+            rate_hz: self.rate_hz().unwrap_or_default(),
+            lsb_per_g: self.lsb_per_g(),
+            bits: self.bits(),
+        };
+        let is_bypassed = self.mode() == FifoMode::Bypass;
+        let waits = if is_bypassed { self.output.fresh } else { self.above_threshold() };
+        if !(source.waits_for_reader() && waits)
+            && let Some(counts) = source.acceleration(&conversion)
+        {
+            if is_bypassed {
+                self.output.store(counts.0);
+            } else {
+                self.queue(counts.0);
+            }
+            self.core.taken += 1;
         }
+        if self.core.registers.get(TEMP_CFG) & TEMP_ENABLE == TEMP_ENABLE {
+            // Equation (38): 8 bits at low power, else 10.
+            let lsb = (source.temperature_c(time_s) - 25.0) * 256.0;
+            self.thermometer.store([quantise(lsb, self.bits().min(10))]);
+        }
+    }
+
+    fn settle(&mut self, now: u64, source: &mut dyn Source) {
+        self.take_due(now, source);
         while let Some(time_s) = self.measuring.as_mut().and_then(|m| m.take_due(now)) {
             let field = source.magnetic_field_nt(self.measured, time_s);
             self.measured += 1;
@@ -273,9 +274,8 @@ impl Chip for Lsm303agr {
 
     /// Samples keep being counted.
     fn reset(&mut self) {
-        self.accelerometer = Registers::default();
-        self.accelerometer.set(CTRL1, 0x07);
-        self.sampling = None;
+        (self.core.registers, self.core.sampling) = (Registers::default(), None);
+        self.core.registers.set(CTRL1, 0x07);
         self.output = Output::default();
         self.fifo.clear();
         self.thermometer = Output::default();
@@ -318,13 +318,13 @@ impl Chip for Lsm303agr {
             return;
         }
         let rate_before = self.rate_hz();
-        self.accelerometer.set(register, byte);
+        self.core.registers.set(register, byte);
         if self.mode() == FifoMode::Bypass {
             self.fifo.clear();
         }
         let rate = self.rate_hz();
         if rate != rate_before {
-            self.sampling = rate.map(clock);
+            self.core.sampling = rate.map(clock);
         }
     }
 
@@ -336,34 +336,26 @@ impl Chip for Lsm303agr {
             (MAGNETOMETER_ADDRESS, _) => self.magnetometer.get(register),
             (_, STATUS_AUX) => self.thermometer.status() & 0x44,
             (_, OUT_TEMP_L | OUT_TEMP_H) => self.thermometer.read(register - OUT_TEMP_L),
-            (_, WHO_AM_I) => self.identity,
+            (_, WHO_AM_I) => self.core.identity,
             (_, STATUS) => self.output.status(),
             (_, OUT_X_L..=OUT_Z_H) if self.mode() != FifoMode::Bypass => {
                 self.unqueue(register - OUT_X_L)
             }
             (_, OUT_X_L..=OUT_Z_H) => self.output.read(register - OUT_X_L),
             (_, FIFO_SRC) => self.fifo_source(),
-            _ => self.accelerometer.get(register),
+            _ => self.core.registers.get(register),
         }
     }
 
     fn interrupt(&self) -> bool {
-        self.interrupts() != self.accelerometer.is_set(CTRL6, CTRL6_ACTIVE_LOW)
+        self.interrupts() != self.core.registers.is_set(CTRL6, CTRL6_ACTIVE_LOW)
     }
 
     /// `None` if INT1 is raised already, or for nothing.
     fn next_change(&self) -> Option<u64> {
         let any = CTRL3_DATA_READY | CTRL3_WATERMARK | CTRL3_OVERRUN;
-        let may_rise = self.accelerometer.is_set(CTRL3, any) && !self.interrupts();
-        self.sampling.filter(|_| may_rise).map(|sampling| sampling.next_us())
-    }
-
-    fn set_identity(&mut self, identity: u8) {
-        self.identity = identity;
-    }
-
-    fn samples_taken(&self) -> u64 {
-        self.taken
+        let may_rise = self.core.registers.is_set(CTRL3, any) && !self.interrupts();
+        self.core.sampling.filter(|_| may_rise).map(|sampling| sampling.next_us())
     }
 
     fn has_unread(&self) -> bool {

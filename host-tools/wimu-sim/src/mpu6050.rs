@@ -7,9 +7,7 @@
 
 use std::collections::VecDeque;
 
-use wimu_model::Counts;
-
-use crate::chip::{Chip, GyroscopeFault, Registers};
+use crate::chip::{Chip, Core};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
@@ -49,13 +47,9 @@ const PULSE_US: u64 = 50;
 
 #[derive(Debug, Default)]
 pub(crate) struct Mpu6050 {
-    identity: u8,
-    fault: GyroscopeFault,
-    registers: Registers,
+    core: Core,
     now: u64,
     awake_us: u64,
-    sampling: Option<SampleClock>,
-    taken: u64,
     sampled_us: u64,
     /// Accelerometer x, y, z, temperature, gyroscope x, y, z.
     output: [i16; 7],
@@ -67,69 +61,24 @@ pub(crate) struct Mpu6050 {
 
 impl Mpu6050 {
     pub(crate) fn new(identity: u8) -> Self {
-        let mut chip = Self { identity, ..Self::default() };
+        let mut chip = Self { core: Core::of(identity), ..Self::default() };
         chip.reset();
         chip
     }
 
-    fn register(&self, register: u8) -> u8 {
-        self.registers.get(register)
-    }
-
     fn capacity(&self) -> usize {
-        if self.identity == 0x68 { 1024 } else { 512 }
+        if self.core.identity == 0x68 { 1024 } else { 512 }
     }
 
     fn rate_hz(&self) -> Option<f64> {
         let filtered = matches!(self.register(CONFIG) & 7, 1..=6);
         let fastest_hz = if filtered { 1000.0 } else { 8000.0 };
-        let awake = !self.registers.is_set(PWR_MGMT_1, SLEEP);
+        let awake = !self.core.registers.is_set(PWR_MGMT_1, SLEEP);
         awake.then(|| fastest_hz / (1.0 + f64::from(self.register(SMPLRT_DIV))))
     }
 
     fn is_full(&self) -> bool {
         self.fifo.len() >= self.capacity()
-    }
-
-    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
-        if source.waits_for_reader() && self.fifo.len() >= 12 {
-            return;
-        }
-        let rate_hz = self.rate_hz().unwrap_or_default();
-        let range = self.register(ACCEL_CONFIG) >> 3 & 3;
-        let conversion = Conversion {
-            index: self.taken,
-            time_s,
-            rate_hz,
-            lsb_per_g: f64::from(16_384 >> range),
-            bits: 16,
-        };
-        let Some(force) = source.acceleration(&conversion) else {
-            return;
-        };
-        let lsb_per_dps = 32_768.0 / f64::from(250 << (self.register(GYRO_CONFIG) >> 3 & 3));
-        let turned_on = time_s >= self.awake_us as f64 * 1e-6 + TURN_ON_S;
-        let [x, y, z] = force.0;
-        let rate = match self.fault {
-            GyroscopeFault::None if turned_on => {
-                source.angular_rate(self.taken, time_s, rate_hz, lsb_per_dps)
-            }
-            GyroscopeFault::Saturates => Counts([i16::MAX; 3]),
-            _ => Counts([self.output[4], self.output[5], self.output[6]]),
-        };
-        let [gx, gy, gz] = rate.0;
-        let celsius = source.temperature_c(time_s);
-        let temperature = match self.identity {
-            0x68 => 340.0 * (celsius - 36.53),
-            _ => 333.87 * (celsius - 21.0),
-        };
-        self.output = [x, y, z, quantise(temperature, 16), gx, gy, gz];
-        self.taken += 1;
-        self.sampled_us = self.now;
-        self.status |= DATA_READY;
-        if self.registers.is_set(USER_CTRL, FIFO_ON) {
-            self.batch();
-        }
     }
 
     fn batch(&mut self) {
@@ -151,9 +100,54 @@ impl Mpu6050 {
 }
 
 impl Chip for Mpu6050 {
+    fn core(&self) -> &Core {
+        &self.core
+    }
+
+    fn core_mut(&mut self) -> &mut Core {
+        &mut self.core
+    }
+
+    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
+        if source.waits_for_reader() && self.fifo.len() >= 12 {
+            return;
+        }
+        let rate_hz = self.rate_hz().unwrap_or_default();
+        let range = self.register(ACCEL_CONFIG) >> 3 & 3;
+        let conversion = Conversion {
+            index: self.core.taken,
+            time_s,
+            rate_hz,
+            lsb_per_g: f64::from(16_384 >> range),
+            bits: 16,
+        };
+        let Some(force) = source.acceleration(&conversion) else {
+            return;
+        };
+        let lsb_per_dps = 32_768.0 / f64::from(250 << (self.register(GYRO_CONFIG) >> 3 & 3));
+        let turned_on = time_s >= self.awake_us as f64 * 1e-6 + TURN_ON_S;
+        let [x, y, z] = force.0;
+        let (taken, [.., gx, gy, gz]) = (self.core.taken, self.output);
+        let [gx, gy, gz] = self.core.angular_rate(turned_on, [gx, gy, gz], || {
+            source.angular_rate(taken, time_s, rate_hz, lsb_per_dps)
+        });
+        let celsius = source.temperature_c(time_s);
+        let temperature = match self.core.identity {
+            0x68 => 340.0 * (celsius - 36.53),
+            _ => 333.87 * (celsius - 21.0),
+        };
+        self.output = [x, y, z, quantise(temperature, 16), gx, gy, gz];
+        self.core.taken += 1;
+        self.sampled_us = self.now;
+        self.status |= DATA_READY;
+        if self.core.registers.is_set(USER_CTRL, FIFO_ON) {
+            self.batch();
+        }
+    }
+
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
         self.now = now;
-        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
+        while let Some(time_s) = self.core.sampling.as_mut().and_then(|s| s.take_due(now)) {
             self.now = (time_s * 1e6) as u64;
             self.sample(time_s, source);
         }
@@ -161,42 +155,41 @@ impl Chip for Mpu6050 {
     }
 
     fn reset(&mut self) {
-        self.registers.clear();
-        self.registers.set(PWR_MGMT_1, SLEEP);
-        self.sampling = None;
+        self.core.clear();
+        self.core.registers.set(PWR_MGMT_1, SLEEP);
         self.output = [0; 7];
         self.fifo.clear();
         self.status = 0;
     }
 
     fn acknowledges(&self, address: u8) -> bool {
-        let i2c = address == ADDRESS && !self.registers.is_set(USER_CTRL, I2C_DISABLE);
+        let i2c = address == ADDRESS && !self.core.registers.is_set(USER_CTRL, I2C_DISABLE);
         i2c || address == spi::ADDRESS
     }
 
     fn begin_write(&mut self, _address: u8) {
         self.shown = self.output;
-        self.registers.begin();
+        self.core.registers.begin();
     }
 
     fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if self.registers.takes_number(byte) {
+        if self.core.registers.takes_number(byte) {
             return;
         }
-        let register = self.registers.pointer;
-        self.registers.pointer = (register + 1) & 0x7F;
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = (register + 1) & 0x7F;
         let read_only =
             matches!(register, INT_STATUS..=GYRO_ZOUT_L | FIFO_COUNT_H | FIFO_COUNT_L | WHO_AM_I);
         if read_only {
             return;
         }
         let before = self.rate_hz();
-        self.registers.set(register, byte);
+        self.core.registers.set(register, byte);
         match register {
             PWR_MGMT_1 if byte & RESET != 0 => self.reset(),
             USER_CTRL if byte & FIFO_RESET != 0 => {
                 self.fifo.clear();
-                self.registers.set(USER_CTRL, byte & !FIFO_RESET);
+                self.core.registers.set(USER_CTRL, byte & !FIFO_RESET);
             }
             _ => {}
         }
@@ -205,18 +198,18 @@ impl Chip for Mpu6050 {
             if before.is_none() {
                 self.awake_us = now;
             }
-            self.sampling = rate.map(|rate| SampleClock::new(rate, now, period_error_ppm));
+            self.core.sampling = rate.map(|rate| SampleClock::new(rate, now, period_error_ppm));
         }
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.registers.pointer;
+        let register = self.core.registers.pointer;
         if register != FIFO_R_W {
-            self.registers.pointer = (register + 1) & 0x7F;
+            self.core.registers.pointer = (register + 1) & 0x7F;
         }
         let [high, low] = (self.fifo.len() as u16).to_be_bytes();
         match register {
-            WHO_AM_I => self.identity,
+            WHO_AM_I => self.core.identity,
             INT_STATUS => std::mem::take(&mut self.status),
             ACCEL_XOUT_H..=GYRO_ZOUT_L => {
                 let byte = usize::from(register - ACCEL_XOUT_H);
@@ -230,25 +223,9 @@ impl Chip for Mpu6050 {
     }
 
     fn interrupt(&self) -> bool {
-        let pulses = !self.registers.is_set(INT_PIN_CFG, LATCH);
+        let pulses = !self.core.registers.is_set(INT_PIN_CFG, LATCH);
         let over = pulses && self.now >= self.sampled_us + PULSE_US;
         self.status & self.register(INT_ENABLE) != 0 && !over
-    }
-
-    fn next_change(&self) -> Option<u64> {
-        self.sampling.map(|sampling| sampling.next_us())
-    }
-
-    fn set_identity(&mut self, identity: u8) {
-        self.identity = identity;
-    }
-
-    fn set_gyroscope_fault(&mut self, fault: GyroscopeFault) {
-        self.fault = fault;
-    }
-
-    fn samples_taken(&self) -> u64 {
-        self.taken
     }
 
     fn has_unread(&self) -> bool {

@@ -140,12 +140,12 @@ impl Sensor {
 
     /// Makes the accelerometer identify itself as `id`, also after power-on.
     pub fn set_who_am_i(&self, id: u8) {
-        self.change(|state, _| state.chip.set_identity(id));
+        self.change(|state, _| state.chip.core_mut().identity = id);
     }
 
     /// Breaks its gyroscope, or repairs it; nothing for a sensor without one.
     pub fn set_gyroscope_fault(&self, fault: GyroscopeFault) {
-        self.change(|state, _| state.chip.set_gyroscope_fault(fault));
+        self.change(|state, _| state.chip.core_mut().fault = fault);
     }
 
     /// Switches power off and on: all registers are reset.
@@ -155,7 +155,7 @@ impl Sensor {
 
     /// Number of accelerometer samples since the sensor was made, read or not.
     pub fn samples_taken(&self) -> u64 {
-        self.look(|state, _| state.chip.samples_taken())
+        self.look(|state, _| state.chip.core().taken)
     }
 
     /// Whether a replayed recording has ended and its last sample was read.

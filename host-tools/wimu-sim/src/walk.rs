@@ -2,11 +2,12 @@
 
 use std::f64::consts::TAU;
 
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::aids::position::POSITION;
 use wimu_host::inertial::{Aid, Aids};
-use wimu_host::localization::{AnchorPosition, RangeRecording, RangeSample};
-use wimu_host::motion::{MotionRecording, Truth, UnitSample};
+use wimu_host::localization::{AnchorPosition, RangeRecording};
 pub use wimu_host::navigation::distance_m;
+use wimu_host::series::{Flags, Ns};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::attitude::Attitude;
@@ -87,7 +88,7 @@ impl RangeWalk {
                     + NOISE_M * random.gaussian()
                     + excess_m;
                 let range_m = distance_m(position_m(time_s), *anchor_m) + error_m;
-                ranges.push(RangeSample { time_s, anchor, range_m });
+                ranges.push(Aid::range(time_s, anchor, range_m));
                 hidden.push(is_blocked);
             }
         }
@@ -204,7 +205,7 @@ const FORCE_NOISE: f64 = 9e-4;
 const RATE_NOISE: f64 = 9e-5;
 
 /// What a calibrated six-axis unit measures of a motion, with the truth.
-pub fn sensed(motion: &dyn Motion, rate_hz: f64, seed: u64) -> MotionRecording {
+pub fn sensed(motion: &dyn Motion, rate_hz: f64, seed: u64) -> Imu {
     let mut random = Random::new(seed, 21);
     let mut vector = |sd: f64| [(); 3].map(|()| sd * random.gaussian());
     let [force_bias, rate_bias] = [vector(FORCE_BIAS), vector(RATE_BIAS)];
@@ -216,29 +217,22 @@ pub fn sensed(motion: &dyn Motion, rate_hz: f64, seed: u64) -> MotionRecording {
         let row = |axis: usize| (0..3).map(|k| matrix[axis][k] * truth[k]).sum::<f64>();
         [0, 1, 2].map(|axis| truth[axis] + row(axis) + bias[axis] + noise[axis])
     };
-    let mut recording = MotionRecording::default();
+    let mut recording = Imu::default();
     for k in 0..(motion.duration() * rate_hz) as usize {
         let time_s = k as f64 / rate_hz;
         let pose = motion.pose(time_s);
         let mut force = pose.acceleration_mps2;
         force[2] += STANDARD_GRAVITY_MPS2;
         let force = pose.attitude.to_body(force);
-        recording.times_s.push(time_s);
-        recording.samples.push(UnitSample {
-            step_s: if k == 0 { 0.0 } else { 1.0 / rate_hz },
-            force_mps2: measured(force, &force_matrix, force_bias, FORCE_NOISE),
-            rate_rad_s: Some(measured(
-                pose.angular_rate_radps,
-                &rate_matrix,
-                rate_bias,
-                RATE_NOISE,
-            )),
-            field_ut: None,
-        });
-        recording.truth.push(Some(Truth {
-            position_m: pose.position_m,
-            quaternion: pose.attitude.quaternion(),
-        }));
+        let force = measured(force, &force_matrix, force_bias, FORCE_NOISE);
+        let rate = measured(pose.angular_rate_radps, &rate_matrix, rate_bias, RATE_NOISE);
+        let sample =
+            Sample { force_mps2: force.into(), rate_rad_s: Some(rate.into()), ..Sample::default() };
+        let time = Ns::from_s(time_s);
+        recording.push(time, sample);
+        let (position, quaternion) = (pose.position_m.into(), pose.attitude.quaternion().into());
+        recording.reference.position_m.push(time, position, Flags::NONE);
+        recording.reference.quaternion.push(time, quaternion, Flags::NONE);
     }
     recording
 }

@@ -1,19 +1,17 @@
 //! A walk with ranges that arrive while it goes on, beside the filter of its recording.
 
 use nalgebra::{Matrix3, Vector3};
-use wimu_host::inertial::aids::Mounting;
+use wimu_host::imu::Imu;
+use wimu_host::inertial::aids::{Aid, Mounting};
 use wimu_host::inertial::{Aids, Choice, Live, PathPoint, Profile};
-use wimu_host::localization::{
-    LocalizationChoice, RangePrior, RangeRecording, RangeSample, Ranging, localize,
-};
-use wimu_host::motion::MotionRecording;
+use wimu_host::localization::{LocalizationChoice, RangePrior, RangeRecording, Ranging, localize};
 use wimu_host::{Code, Problem, Severity};
 use wimu_sim::motion::Motion as _;
 use wimu_sim::walk::{HALL_M, RangeWalk, Strides, distance_m, sensed};
 use wimu_testkit::{Coverage, Lane};
 
 /// A walk on foot through the hall: the unit's samples, and ranges of which a part has no line of sight.
-fn walked(seed: u64, blocked: f64) -> (Strides, MotionRecording, RangeWalk) {
+fn walked(seed: u64, blocked: f64) -> (Strides, Imu, RangeWalk) {
     let corner = [[1.5, 1.0], [7.5, 1.5], [7.0, 6.0], [2.0, 5.5]];
     let corners: Vec<[f64; 2]> = corner.into_iter().cycle().take(7).collect();
     let strides = Strides::along(&corners);
@@ -28,14 +26,14 @@ fn live(anchors: &RangeRecording, profile: Profile) -> Live {
     let ranging = Ranging::new("hall", anchors.anchors.clone(), anchors.planar, &prior);
     let aids = Aids { ranging: Some(ranging), ..Aids::default() };
     let choice = Choice { profile, aids, ..Choice::default() };
-    Live::new(choice, MotionRecording::default(), 0.5)
+    Live::new(choice, Imu::default(), 0.5)
 }
 
 /// The answers to a stream whose ranges arrive `late_s` after their time.
 fn streamed(
     live: &mut Live,
-    motion: &MotionRecording,
-    ranges: &[RangeSample],
+    motion: &Imu,
+    ranges: &[Aid],
     late_s: impl Fn(usize) -> f64,
 ) -> Vec<PathPoint> {
     let arrivals = ranges.iter().enumerate();
@@ -43,11 +41,12 @@ fn streamed(
     arrivals.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut arrivals = arrivals.into_iter().peekable();
     let mut points = Vec::new();
-    for (k, (time_s, sample)) in motion.times_s.iter().zip(&motion.samples).enumerate() {
-        while let Some((_, range)) = arrivals.next_if(|(arrived_s, _)| arrived_s <= time_s) {
-            live.aid(range.aid(&Mounting::default()));
+    for (k, sample) in motion.samples.v.iter().enumerate() {
+        let time_s = motion.samples.t[k].s();
+        while let Some((_, range)) = arrivals.next_if(|(arrived_s, _)| *arrived_s <= time_s) {
+            live.aid(range.mounted(&Mounting::default()));
         }
-        live.push(*time_s, *sample).unwrap();
+        live.push(time_s, *sample).unwrap();
         if k % 50 == 49 {
             points.extend(live.now());
         }
@@ -66,7 +65,7 @@ fn error_m(strides: &Strides, points: &[PathPoint], from_s: f64) -> (f64, f64) {
 }
 
 /// RMS error of the filter of the recording after 8 s, m.
-fn recorded_m(strides: &Strides, motion: &MotionRecording, ranges: &RangeRecording) -> f64 {
+fn recorded_m(strides: &Strides, motion: &Imu, ranges: &RangeRecording) -> f64 {
     let recording = RangeRecording { motion: Some(motion.clone()), ..ranges.clone() };
     let choice = LocalizationChoice { smooth: false, ..LocalizationChoice::default() };
     error_m(strides, &localize(&recording, &choice).unwrap().points, 8.0).0
@@ -107,7 +106,7 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
     let points = streamed(&mut live, &motion, all, |k| if is_late(k) { 1.5 } else { 0.0 });
     let aided = live.aids()["range"];
     println!("{aided:?}");
-    let until_s = motion.times_s[motion.times_s.len() - 1];
+    let until_s = motion.samples.t[motion.samples.len() - 1].s();
     let arrived = |k: &usize| is_late(*k) && all[*k].time_s + 1.5 <= until_s;
     assert_eq!(aided.late, (0..all.len()).filter(arrived).count());
     let blocked = ranges.blocked.iter().filter(|blocked| **blocked).count() as f64;
@@ -125,8 +124,8 @@ fn late_and_blocked_ranges_are_counted_and_not_believed() {
 fn an_anchor_that_was_moved_is_named() {
     let (strides, motion, mut ranges) = walked(5, 0.0);
     for range in &mut ranges.recording.ranges {
-        if range.anchor == 2 && range.time_s > 15.0 {
-            range.range_m += 2.0;
+        if range.source == 2 && range.time_s > 15.0 {
+            range.value[0] += 2.0;
         }
     }
     let mut live = live(&ranges.recording, Profile::Foot);
@@ -157,13 +156,13 @@ fn anchors_without_heights_are_in_the_plane_of_the_unit() {
 #[test]
 fn a_unit_without_a_gyroscope_is_refused() {
     let (_, mut motion, ranges) = walked(6, 0.0);
-    let refused = |ranges: &RangeRecording, motion: &MotionRecording| {
+    let refused = |ranges: &RangeRecording, motion: &Imu| {
         let mut live = live(ranges, Profile::Hand);
-        let mut pairs = motion.times_s.iter().zip(&motion.samples);
-        let refused = pairs.find_map(|(time_s, sample)| live.push(*time_s, *sample).err());
+        let mut pairs = motion.samples.t.iter().zip(&motion.samples.v);
+        let refused = pairs.find_map(|(time, sample)| live.push(time.s(), *sample).err());
         refused.unwrap().to_string()
     };
-    for sample in &mut motion.samples {
+    for sample in &mut motion.samples.v {
         sample.rate_rad_s = None;
     }
     let text = refused(&ranges.recording, &motion);

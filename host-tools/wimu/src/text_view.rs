@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use wimu_host::untrusted::printable;
 
-use crate::output::{Output, terminal_size};
+use crate::output::{Output, terminal_size, wrapped};
 use crate::progress;
 
 /// Interval between two drawings. Chosen: text is read, not watched.
@@ -38,9 +38,16 @@ impl<'a> TextView<'a> {
         }
         self.drawn = Some(Instant::now());
         let (columns, lines) = terminal_size().unwrap_or((80, 24));
+        let rows = rows().iter().map(|row| printable(row)).collect::<Vec<_>>().join("\n");
+        // Some terminals wrap after the last column.
+        let width = columns.saturating_sub(1);
+        let height = lines.saturating_sub(1);
+        // Long rows go on in the next one where all fit, else they are cut.
+        let whole = wrapped(&rows, Some(width));
+        let shown = if whole.lines().count() <= height { &*whole } else { &*rows };
         let mut text = "\x1b[H".to_owned();
-        for row in rows().iter().take(lines.saturating_sub(1)) {
-            text.extend(printable(row).chars().take(columns.saturating_sub(1)));
+        for row in shown.lines().take(height) {
+            text.extend(row.chars().take(width));
             text += "\x1b[K\r\n";
         }
         self.output.write((text + "\x1b[J").as_bytes())

@@ -63,7 +63,7 @@ fn only_what_was_fitted_is_printed_with_its_deviation() {
     let csv = folder.path().join("means.csv").display().to_string();
     fs::write(&csv, means(&spread(20))).unwrap();
     let mut texts = Transcript::default();
-    for model in ["9", "6"] {
+    for model in ["9", "auto"] {
         let ran = wimu(&["calibrate", &csv, "--poses", "--model", model]);
         ran.succeeds();
         texts.text(format_args!("calibrate --model {model}"), &ran);

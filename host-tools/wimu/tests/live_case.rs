@@ -101,7 +101,7 @@ fn live_case() {
     let file = folder.path().join("all.mcap").display().to_string();
     let record = Background::start(&["record", &board.cable, "-o", &file]);
     wait_until("the recording begins", || wimu(&["info", &file]).code == 0);
-    let poses = ["calibrate", &board.wireless, "--count", "4", "--model", "3"];
+    let poses = ["calibrate", &board.wireless, "--count", "4", "--model", "auto"];
     let calibrated = wimu(&poses).refuses();
     let monitored = monitored(&board.wireless, folder.path());
     let streamed = streamed(&board.wireless, folder.path());

@@ -111,9 +111,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
     fs::write(path("streams.csv"), streams()).unwrap();
     let mut headers = Vec::new();
     for (k, (data, flags)) in [
-        ("many.csv", &["--poses", "--model", "3"][..]),
-        ("many.csv", &["--poses", "--model", "6"]),
-        ("many.csv", &["--poses", "--model", "9"]),
+        ("many.csv", &["--poses", "--model", "9"][..]),
         ("many.csv", &["--poses", "--model", "auto"]),
         ("many.csv", &["--poses", "--model", "9+drift"]),
         ("many.csv", &["--poses", "--model", "9+temperature"]),

@@ -8,7 +8,8 @@ use std::path::Path;
 
 use kit::{Transcript, folder, noise, spread, wimu};
 use wimu_host::calibration::Calibration;
-use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::formats::{ReadOptions, load};
+use wimu_host::imu::{Imu, ImuOptions};
 
 /// Pose means of a session, m/s², bias X and temperature as given.
 fn session(folder: &Path, name: &str, celsius: f64, bias: f64, poses: u32) -> String {
@@ -29,14 +30,15 @@ fn session(folder: &Path, name: &str, celsius: f64, bias: f64, poses: u32) -> St
 
 /// Turn-on bias that navigation adds to a calibration, m/s².
 fn turn_on_added(csv: &str, cal: &str) -> f64 {
-    let options = TableOptions {
+    let options = ImuOptions {
         calibration: Some(Calibration::read(Path::new(cal)).unwrap().sensor().clone()),
-        ..TableOptions::default()
+        ..ImuOptions::default()
     };
     let axes = ["X", "Y", "Z"].map(|axis| format!("Accelerometer {axis} (m/s²)"));
     let text = format!("Time (s),{}\n0.00,0,0,9.8\n0.01,0,0,9.8\n", axes.join(","));
     fs::write(csv, text).unwrap();
-    let motion = MotionRecording::from_csv_with(Path::new(csv), &options).unwrap();
+    let motion =
+        Imu::of(&load(Path::new(csv), &ReadOptions::default()).unwrap(), &options).unwrap();
     let known = motion.covariance.unwrap();
     let used = motion.calibration_covariance().unwrap();
     (used[0][0] - known[0][0]).sqrt()

@@ -221,18 +221,6 @@ impl<'a> Sessions<'a> {
         sum
     }
 
-    /// Standard deviation within a session, rms over sessions and parameters.
-    pub fn within_sd(&self, group: Group) -> f64 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for parameter in self.of(group) {
-            for (_, variance, _) in self.values(parameter) {
-                sum += variance;
-                count += 1.0;
-            }
-        }
-        libm::sqrt(sum / f64::max(count, 1.0))
-    }
-
     pub fn temperature(&self) -> Option<CalibratedTemperature> {
         let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
         for session in self.all.iter() {

@@ -5,12 +5,17 @@
 use std::path::PathBuf;
 
 use proptest::test_runner::Config as ProptestConfig;
-use wimu_calib::{Gravity, MagneticPose, Pose};
+use wimu_calib::{Gravity, MagneticPose, MultiPosition, Pose, Terms};
 use wimu_model::{Alignment, ErrorModel, ErrorTerms, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 pub use wimu_testkit::Random;
 
 /// The gravity of the simulated tests, m/s².
 pub const G: f64 = STANDARD_GRAVITY_MPS2;
+
+/// Nine parameters that the poses alone determine; the same without outliers; and with priors.
+pub const NINE: MultiPosition = MultiPosition { terms: Terms::NONE, priors: false, reject: false };
+pub const ROBUST: MultiPosition = MultiPosition { reject: true, ..NINE };
+pub const AUTO: MultiPosition = MultiPosition { priors: true, ..ROBUST };
 
 /// Gravity that is known exactly.
 pub fn exact() -> Gravity {

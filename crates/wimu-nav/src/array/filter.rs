@@ -5,8 +5,8 @@ mod start;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
+use super::available::{Array, SensorBits};
 use super::geometry::{Geometry, GeometryError};
-use super::monitor::{Array, Dropped};
 use super::noise::{Level, Noise};
 use super::rest::RestTest;
 use super::solver::{ArraySolver, Linear, Roots};
@@ -77,7 +77,7 @@ pub struct ArrayFilter<const M: usize> {
     level: Level<M>,
     rest_test: RestTest,
     align: Alignment,
-    dropped: Dropped,
+    absent: SensorBits,
     /// The sample before and the variance of its specific force, for the first half of a step.
     last: Option<(Linear, Noise)>,
     /// Low-passed direction of the specific force: the effect of scale factors changes with it.
@@ -104,7 +104,7 @@ impl<const M: usize> ArrayFilter<M> {
     /// # Errors
     /// As [`Array::new`].
     pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
-        let array = Array::<M>::new(geometry, config.range_mps2)?;
+        let array = Array::<M>::new(geometry)?;
         let mut layout = Layout::new([0.0; 3], 0.0, 0.0);
         let solver = array.solver();
         let lever = solver.rate_error(config.place_sd_m);
@@ -124,7 +124,7 @@ impl<const M: usize> ArrayFilter<M> {
             mixture: None,
             level: Level::new(),
             align: Alignment::EMPTY,
-            dropped: Dropped::default(),
+            absent: 0,
             last: None,
             direction: Vector3::zeros(),
             since_rest_s: 0.0,
@@ -153,12 +153,12 @@ impl<const M: usize> ArrayFilter<M> {
         self.recoveries
     }
 
-    /// Takes one sample: the outputs of all axes, m/s², `step_s` seconds after the one before. Returns the sensors that were
-    /// left out.
+    /// Takes one sample: the outputs of all axes, m/s², those without one not finite, `step_s` seconds after the one before.
+    /// Returns the sensors that were left out.
     ///
     /// # Errors
     /// [`ArrayFault`].
-    pub fn push(&mut self, step_s: f64, output_mps2: &[f64; M]) -> Result<Dropped, ArrayFault> {
+    pub fn push(&mut self, step_s: f64, output_mps2: &[f64; M]) -> Result<SensorBits, ArrayFault> {
         let late = self.started && step_s <= 0.0;
         if !step_s.is_finite() || step_s < 0.0 || late {
             return Err(ArrayFault::NoTime);
@@ -171,14 +171,14 @@ impl<const M: usize> ArrayFilter<M> {
         if gap || reduced.is_err() {
             self.interrupt(step_s, gap);
         }
-        let (linear, dropped) = reduced.map_err(ArrayFault::Blind)?;
-        if dropped != self.dropped {
-            self.dropped = dropped;
+        let (linear, absent) = reduced.map_err(ArrayFault::Blind)?;
+        if absent != self.absent {
+            self.absent = absent;
             self.begin_biases(true);
         }
         self.take(if gap { 0.0 } else { step_s }, output_mps2, &linear);
         self.restart_if_diverged();
-        if gap { Err(ArrayFault::Gap) } else { Ok(dropped) }
+        if gap { Err(ArrayFault::Gap) } else { Ok(absent) }
     }
 
     fn take(&mut self, step: f64, output: &[f64; M], linear: &Linear) {
@@ -307,7 +307,7 @@ impl<const M: usize> ArrayFilter<M> {
             }
             refine(-own);
             let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
-            for root in roots.hypotheses() {
+            for root in roots.iter() {
                 let root = Vector3::from(root.rate_rad_s);
                 if near(&root) {
                     refine(root);

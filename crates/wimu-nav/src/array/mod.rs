@@ -2,11 +2,11 @@
 //! specific force without a gyroscope.
 //!
 //! [`Geometry`] says where they are, [`ArraySolver`] takes one sample of all of them, and
-//! [`Array`] does so while leaving out those that are dead or saturated. [`ArrayFilter`] navigates
+//! [`Array`] does so while leaving out those without an output. [`ArrayFilter`] navigates
 //! with them.
 
+mod available;
 mod filter;
-mod monitor;
 mod noise;
 mod rest;
 mod solver;
@@ -14,8 +14,8 @@ mod state;
 
 use wimu_model::geometry;
 
+pub use available::{Array, SensorBits};
 pub use filter::ArrayFilter;
 pub use geometry::{Axis, Geometry, GeometryError, Triad};
-pub use monitor::{Array, Dropped};
-pub use solver::{ArraySolver, Hypothesis, Linear, Roots, Solution};
+pub use solver::{ArraySolver, Hypothesis, Linear, Roots};
 pub use state::{ArrayConfig, ArrayFault, ArrayState};

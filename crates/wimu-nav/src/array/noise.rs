@@ -64,7 +64,7 @@ impl<const M: usize> Level<M> {
         [rate, away]: [Vector3<f64>; 2],
     ) -> Noise {
         let variance = solver.variance_mps2();
-        self.push_jerk(config.range_mps2, variance, step, output);
+        self.push_jerk(variance, step, output);
         let square = rate.norm_squared();
         let declared =
             config.place_sd_m * config.place_sd_m * (square * square / 1.5 + 2.0 * self.activity)
@@ -94,14 +94,14 @@ impl<const M: usize> Level<M> {
         }
     }
 
-    fn push_jerk(&mut self, range: f64, variance: f64, step: f64, output: &[f64; M]) {
+    fn push_jerk(&mut self, variance: f64, step: f64, output: &[f64; M]) {
         let last = self.last.replace(*output);
         let Some(last) = last.filter(|_| step > 0.0) else {
             return;
         };
         let changes = output.iter().zip(last).map(|(now, before)| now - before);
         let (mut squares, mut count) = (0.0, 0.0);
-        for change in changes.filter(|change| change.abs() < range) {
+        for change in changes.filter(|change| change.is_finite()) {
             squares += change * change;
             count += 1.0;
         }

@@ -4,7 +4,7 @@ mod roots;
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-pub use roots::{Hypothesis, Solution};
+pub use roots::Hypothesis;
 
 use super::geometry::{Axis, Geometry, GeometryError};
 
@@ -61,7 +61,6 @@ pub struct ArraySolver<const M: usize> {
     used: usize,
     rank: usize,
     variance: f64,
-    centre_m: [f64; 3],
     arm_m: f64,
 }
 
@@ -146,7 +145,6 @@ impl<const M: usize> ArraySolver<M> {
             rank: 0,
             variance,
             arm_m: arm,
-            centre_m: centre.into(),
         };
         // ω̇ = scaled / arm, q(ω) = scaled / arm.
         let unit = |row: usize| if row < 3 { 1.0 / arm } else { 1.0 };
@@ -206,11 +204,6 @@ impl<const M: usize> ArraySolver<M> {
     /// How many of [`Linear::z`] count.
     pub fn rank(&self) -> usize {
         self.rank
-    }
-
-    /// The place that s belongs to: the centre of the sensors weighted by 1/σ², m, body axes.
-    pub fn centre_m(&self) -> [f64; 3] {
-        self.centre_m
     }
 
     /// Covariance of ω̇ (rad/s²) and s (m/s²) at known ω.

@@ -12,8 +12,6 @@ pub struct ArrayConfig {
     pub gravity_mps2: f64,
     /// What a rest means. With [`Rests::Ignored`] only the one at the start is used, for the alignment.
     pub rests: Rests,
-    /// Output at which an axis saturates, m/s².
-    pub range_mps2: f64,
     /// Bias of each axis, m/s².
     pub bias_mps2: f64,
     /// Bias that all sensors share, m/s², on each axis of the body besides: what calibration at rests leaves.
@@ -39,7 +37,6 @@ impl Default for ArrayConfig {
         Self {
             gravity_mps2: crate::GRAVITY_MPS2,
             rests: Rests::ZeroVelocity,
-            range_mps2: 155.0,
             bias_mps2: 0.02,
             common_bias_mps2: 0.0,
             bias_walk: 1e-4,

@@ -115,7 +115,7 @@ impl Default for Settings {
 }
 
 /// A sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     /// Time since the sample before, s.
     pub step_s: f64,

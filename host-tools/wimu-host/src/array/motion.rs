@@ -10,8 +10,6 @@ use crate::inertial::Zupt;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
-/// Output that stands for a sensor at its limit, m/s².
-const AT_LIMIT_MPS2: f64 = 1e6;
 /// Squared difference of the angular rates of both directions of time, over their covariances, from which they contradict each
 /// other: χ² with three degrees of freedom, probability 10⁻³.
 const CONTRADICTS: f64 = 16.3;
@@ -183,8 +181,8 @@ pub(super) fn axes_of<const M: usize>(
     Geometry::from_grouped_axes(&axes.collect::<Vec<_>>(), 3).map_err(refused)
 }
 
-/// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used is not a number,
-/// one at its limit far beyond any.
+/// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used or at its limit
+/// is not a number.
 fn sample<const M: usize>(
     recording: &Array,
     calibration: &ArrayCalibration,
@@ -193,12 +191,12 @@ fn sample<const M: usize>(
 ) -> [f64; M] {
     let mut output = [0.0; M];
     for sensor in 0..recording.sensors() {
-        let force = if !calibration.uses(sensor) {
-            [f64::NAN; 3]
-        } else if recording.is_saturated(index, sensor) {
-            [AT_LIMIT_MPS2; 3]
+        let is_used = calibration.uses(sensor) && !recording.is_saturated(index, sensor);
+        let output_mps2 = recording.output(index, sensor);
+        let force = if is_used {
+            calibration.force_since(sensor, output_mps2, rest)
         } else {
-            calibration.force_since(sensor, recording.output(index, sensor), rest)
+            [f64::NAN; 3]
         };
         output[3 * sensor..3 * sensor + 3].copy_from_slice(&force);
     }
@@ -240,7 +238,6 @@ fn filtered<const M: usize>(
     let config = ArrayConfig {
         gravity_mps2,
         rests: zupt.rests(),
-        range_mps2: AT_LIMIT_MPS2,
         // What the sensors differ by at the rests is taken off them: their mean bias is left.
         bias_mps2: BIAS_MPS2,
         common_bias_mps2: (calibration.bias_mps2.powi(2) - BIAS_MPS2.powi(2)).max(0.0).sqrt()
@@ -280,10 +277,12 @@ fn filtered<const M: usize>(
         let pushed = filter.push(step_s, &sample::<M>(recording, calibration, index, offset));
         last = time;
         match pushed {
-            Ok(dropped) => {
-                pass.saturated += usize::from(dropped.saturated != 0);
+            Ok(absent) => {
+                let at_limit = |sensor| recording.is_saturated(index, sensor);
+                let used = |sensor: &usize| calibration.uses(*sensor);
+                pass.saturated += usize::from((0..pass.without.len()).filter(used).any(at_limit));
                 for (sensor, count) in pass.without.iter_mut().enumerate() {
-                    *count += (dropped.dead >> sensor & 1) as usize;
+                    *count += usize::from(absent >> sensor & 1 == 1 && !at_limit(sensor));
                 }
             }
             Err(ArrayFault::Gap) => pass.gaps += 1,

@@ -112,8 +112,8 @@ fn judge<const M: usize>(
     let turn = |departure: [f64; M], variance: f64| -> Option<f64> {
         let linear = solver.reduce(&departure);
         let apart = solver.excess(&departure, &linear).unwrap_or(0.0);
-        let solution = solver.roots_of(&linear);
-        let best = solution.hypotheses().next()?;
+        let roots = solver.roots_of(&linear);
+        let best = roots.first()?;
         let all: f64 = linear.z.iter().map(|z| z * z).sum();
         let explained = all - best.chi_square;
         (explained > TURNS * variance.max(apart)).then(|| norm(best.rate_rad_s))

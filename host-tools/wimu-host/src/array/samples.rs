@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
-use nalgebra::{Vector3, Vector4};
+use nalgebra::Vector3;
 
 use super::ArrayGeometry;
 use super::units::{ArrayUnit, Part, UnitOptions};
 use crate::calibration::Correction;
-use crate::motion::{MOVING, Truth};
-use crate::recording::{Origin, Quantity, Recording, Track};
+use crate::imu::{Reference, Truth};
 use crate::series::{Flags, Interp, Ns, Series};
 use crate::{Code, Result};
 
@@ -30,55 +29,6 @@ pub struct Array {
     pub has_magnetometer: bool,
     /// What was noticed on the way.
     pub remarks: Vec<String>,
-}
-
-/// What a reference system says of the body; empty where the file does not have it.
-#[derive(Clone, Debug, Default)]
-pub struct Reference {
-    /// Position, m, east-north-up.
-    pub position_m: Series<Vector3<f64>>,
-    /// Velocity, m/s, east-north-up.
-    pub velocity_mps: Series<Vector3<f64>>,
-    /// Body to navigation axes, W X Y Z.
-    pub quaternion: Series<Vector4<f64>>,
-    /// Angular rate, rad/s, body axes.
-    pub rate_rad_s: Series<Vector3<f64>>,
-    /// Not 0 where the body moves.
-    pub moving: Series<f64>,
-}
-
-impl Reference {
-    /// That of the tracks of a file.
-    pub(super) fn of(file: &Recording) -> Self {
-        let truth = |quantity| {
-            let mut tracks = file.of(quantity);
-            tracks.find(|track: &&Track| track.info.origin == Origin::Truth)
-        };
-        let vectors = |quantity| {
-            let rows = truth(quantity).into_iter().flat_map(Track::vectors);
-            Series::of(rows.map(|(time, value)| (Ns(time), Vector3::from(value))))
-        };
-        let rows = truth(Quantity::Attitude).into_iter().flat_map(Track::valid);
-        let quaternion = rows.map(|(time, row)| (Ns(time), Vector4::from_column_slice(row)));
-        let moving = file.of(Quantity::Scalar).find(|track| track.info.name == MOVING);
-        let moving = moving.into_iter().flat_map(Track::valid);
-        Self {
-            position_m: vectors(Quantity::Position),
-            velocity_mps: vectors(Quantity::Velocity),
-            quaternion: Series::of(quaternion),
-            rate_rad_s: vectors(Quantity::AngularRate),
-            moving: Series::of(moving.map(|(time, row)| (Ns(time), row[0]))),
-        }
-    }
-
-    /// Position and attitude at a time.
-    pub fn at(&self, time: Ns) -> Option<Truth> {
-        let quaternion = self.quaternion.at(time, Interp::Linear);
-        Some(Truth {
-            position_m: self.position_m.at(time, Interp::Linear)?.value.into(),
-            quaternion: quaternion.map_or([f64::NAN; 4], |at| at.value.into()),
-        })
-    }
 }
 
 impl Array {
@@ -257,15 +207,7 @@ impl Array {
 
     /// Where the body truly was at each sample.
     pub fn truth(&self) -> Vec<Option<Truth>> {
-        self.times().iter().map(|time| self.reference.at(*time)).collect()
-    }
-
-    /// The column `Moving` at each sample, where the file has it.
-    pub fn moving(&self) -> Option<Vec<f64>> {
-        let moving = &self.reference.moving;
-        let values = moving.on(self.times().iter().copied(), Interp::Linear);
-        let values = values.map(|at| at.map_or(f64::NAN, |at| at.value));
-        (!moving.is_empty()).then(|| values.collect())
+        self.reference.on(self.times())
     }
 
     /// Values of a series of the reference at each sample.

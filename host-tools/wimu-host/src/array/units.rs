@@ -6,10 +6,10 @@ use nalgebra::Vector3;
 use wimu_link::LinkRole;
 use wimu_model::{STANDARD_GRAVITY_MPS2, SpecificForceQ16};
 
-use super::samples::Reference;
 use crate::capture::{Boot, Capture, Link};
 use crate::formats::{self, ReadOptions, Source};
-use crate::motion::FULL_SCALE_MPS2;
+use crate::imu::Reference;
+use crate::inertial::FULL_SCALE_MPS2;
 use crate::plural::counted;
 use crate::recording::{Quantity, Recording, Track, Unit};
 use crate::series::{Flags, Ns, Series};
@@ -147,7 +147,7 @@ impl ArrayUnit {
         let counts = matches!(force.info.unit, Unit::Counts { .. });
         let lsb_per_g = counts.then_some(options.sensitivity_lsb_per_g);
         let factor = lsb_per_g.map_or(1.0, |lsb_per_g| STANDARD_GRAVITY_MPS2 / lsb_per_g);
-        let mut values = force.beside(time);
+        let values = force.beside(time);
         let rows = time.times_ns().iter().enumerate().map(|(row, time_ns)| {
             let value = Vector3::from(values.at(row, *time_ns).unwrap_or([f64::NAN; 3]));
             let flags = Flags::saturated(counts && value.amax() >= LIMIT_COUNTS);

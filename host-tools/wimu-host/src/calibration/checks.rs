@@ -1,8 +1,8 @@
 //! Checks of a session and its estimate: why there is no answer, and what a user should know beside the numbers.
 
 use wimu_calib::{
-    BeyondBounds, Covariance, Datasheet, Estimate, Face, Gravity, Method, Model, MultiPosition,
-    Parameter, Parameters, Pose, Reason, Refusal, Term, Terms, UnitHint, multi_position_with,
+    Covariance, Datasheet, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters,
+    Pose, Reason, Refusal, Term, UnitHint, multi_position,
 };
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -57,8 +57,8 @@ fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Ref
     }
     let mean_mps2 = median_magnitude(data) * found.scale;
     let typical = Pose::from_mean([mean_mps2, 0.0, 0.0]);
-    let bias = MultiPosition { model: Model::Bias3, ..MultiPosition::default() };
-    match multi_position_with(&[typical; 4], gravity, bias) {
+    let priors = MultiPosition { priors: true, ..MultiPosition::default() };
+    match multi_position(&[typical; 4], gravity, priors) {
         Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => {
             Some(Refusal::unexpected_magnitude(mean_mps2, hint))
         }
@@ -163,7 +163,8 @@ impl Context<'_> {
         if !refusal.needs_poses() || options.method != MethodChoice::MultiPosition {
             return reason;
         }
-        if options.model != ModelChoice::Auto && has > Model::Bias3.parameters() {
+        let with_priors = MultiPosition { priors: true, ..options.multi_position() };
+        if options.model != ModelChoice::Auto && has >= with_priors.fewest_poses() {
             return reason
                 + " --model auto holds what they do not determine at typical tolerances.";
         }
@@ -239,10 +240,9 @@ impl Context<'_> {
         problems.extend(not_fitted(estimate));
         problems.extend(placement(self.poses, estimate));
         problems.extend(self.in_another_unit(estimate));
-        problems.extend(estimate.beyond_bounds.map(beyond_bounds));
         problems.extend(self.sensitivity(estimate));
         problems.extend(unobserved_by_rotations(self.poses, estimate));
-        let is_explained = changed.is_some() || estimate.beyond_bounds.is_some();
+        let is_explained = changed.is_some();
         problems.extend(changed);
         problems.extend(self.residuals(estimate).filter(|_| !is_explained));
         problems.extend(self.of_boards());
@@ -312,7 +312,7 @@ impl Context<'_> {
         let rms = estimate.fitted_rms_mps2 * 1e3;
         let most = match estimate.method {
             Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
-            Method::MultiPosition(Model::Full9) => most_rms_mm_s2(self.poses, estimate),
+            Method::MultiPosition => most_rms_mm_s2(self.poses, estimate),
             _ => SUSPICIOUS_RMS_MM_S2,
         };
         (rms > most).then(|| {
@@ -439,16 +439,6 @@ fn pose_noise_mps2(poses: &[Pose]) -> f64 {
     poses.iter().flat_map(of_mean).fold(0.0, f64::max)
 }
 
-/// A model that fits better than the one that was selected, but is not plausible.
-fn beyond_bounds(beyond: BeyondBounds) -> Problem {
-    let BeyondBounds { model, terms, error } = beyond;
-    let with = if terms == Terms::NONE { String::new() } else { format!(" with {terms}") };
-    let text = format!("the {model}{with} fits much better, but is not plausible: {error}");
-    Code::SmallerModel.warning(text).remedy(
-        "a smaller model was used, whose intervals do not include this: check the sensor and the data",
-    )
-}
-
 /// Why a calibration cannot be pushed or exported.
 pub(super) fn no_sensitivity() -> Problem {
     let remedy = "to push this calibration, calibrate again with --sensitivity, the nominal LSB/g of the board's range";
@@ -457,32 +447,28 @@ pub(super) fn no_sensitivity() -> Problem {
 
 /// The parameters that were not fitted.
 fn not_fitted(estimate: &Estimate) -> Vec<Problem> {
-    let is_missing = |parameters: &[Parameter]| {
-        parameters.iter().all(|parameter| !estimate.fitted.contains(*parameter))
-    };
     let mut problems = Vec::new();
-    let scales = is_missing(&[Parameter::ScaleX, Parameter::ScaleY, Parameter::ScaleZ]);
-    if scales {
-        problems.push(Code::NotObserved.note("scale factors were not fitted: taken as 1"));
+    let list = |parameters: Parameters| {
+        parameters.iter().map(|parameter| parameter.to_string()).collect::<Vec<_>>().join(", ")
+    };
+    if !estimate.assumed.is_empty() {
+        problems.push(Code::NotObserved.note(format!(
+            "held at typical tolerances, because the poses do not determine them: {}",
+            list(estimate.assumed)
+        )));
     }
-    let misalignments = is_missing(&[Parameter::MisalignmentXy, Parameter::MisalignmentXz]);
-    if misalignments {
+    let misalignment = |parameter: &Parameter| !matches!(parameter.index(), 0..3 | 3 | 7 | 11);
+    let (misalignments, others): (Vec<_>, Vec<_>) =
+        estimate.not_observed().iter().partition(misalignment);
+    if !misalignments.is_empty() {
         let mrad = estimate.sd().matrix[1][0] * 1e3;
         let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
         problems.push(Code::NotObserved.note(text));
     }
-    let is_other = |parameter: &Parameter| match parameter.index() {
-        0..3 => true,
-        3 | 7 | 11 => !scales,
-        _ => !misalignments,
-    };
-    let others = estimate.not_observed();
-    let others: Vec<String> =
-        others.iter().filter(is_other).map(|parameter| parameter.to_string()).collect();
     if !others.is_empty() {
         problems.push(Code::NotObserved.warning(format!(
             "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
-            others.join(", ")
+            list(others.into_iter().collect())
         )));
     }
     problems

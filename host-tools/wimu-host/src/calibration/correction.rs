@@ -133,8 +133,8 @@ impl Correction {
             Unit::Counts { si_per_lsb: None } => {
                 return Err(Code::UnknownFormat.error(
                     "its accelerations are raw counts, of which nothing says what they are",
-                    "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --with CAL.json; or say what \
-                     the counts are, --sensitivity LSB_PER_G",
+                    "calibrate the sensor, `wimu calibrate FILE -o CAL.json`, and give --with CAL.json; `wimu navigate` \
+                     also takes --sensitivity LSB_PER_G",
                 ));
             }
             Unit::Unknown => return Err(unknown_unit()),

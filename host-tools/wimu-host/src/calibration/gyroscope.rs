@@ -85,20 +85,23 @@ pub(super) fn calibrate(
     let (found, lsb) = match track.info.unit {
         Unit::Si => (estimate(1.0, false), None),
         Unit::Counts { si_per_lsb: Some(rad_s) } => (estimate(rad_s, true), Some(rad_s)),
-        _ => {
-            let Some((found, rad_s)) = usual(|rad_s| estimate(rad_s, true).ok()) else {
+        _ => match usual(|rad_s| estimate(rad_s, true)) {
+            Ok((found, rad_s)) => {
+                let lsb_per_dps = 1.0 / rad_s.to_degrees();
+                let text = format!(
+                    "gyroscope: {lsb_per_dps:.1} LSB per °/s fits its counts, of the usual sensitivities"
+                );
+                findings.push(Code::UnitInferred.note(text));
+                (Ok(found), Some(rad_s))
+            }
+            Err(Some(axes)) => (Err(axes), None),
+            Err(None) => {
                 let text = "the gyroscope is not calibrated: its unit is not known, and no usual sensitivity fits";
                 let remedy = "name the unit in its columns: deg/s or rad/s";
                 findings.push(Code::Uncalibrated.note(text).remedy(remedy));
                 return None;
-            };
-            let lsb_per_dps = 1.0 / rad_s.to_degrees();
-            let text = format!(
-                "gyroscope: {lsb_per_dps:.1} LSB per °/s fits its counts, of the usual sensitivities"
-            );
-            findings.push(Code::UnitInferred.note(text));
-            (Ok(found), Some(rad_s))
-        }
+            }
+        },
     };
     let (estimate, turning) = match found {
         Ok(found) => found,
@@ -156,21 +159,29 @@ fn at_rests(
 }
 
 /// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with scale factors within the
-/// tolerance, else of the usable ones, the one with the smallest error after turns.
+/// tolerance, else of the usable ones, the one with the smallest error after turns. If none fits, the refusal of a sensitivity
+/// at which only the axes differ.
 fn usual<T>(
-    estimate: impl Fn(f64) -> Option<(GyroscopeEstimate, T)>,
-) -> Option<((GyroscopeEstimate, T), f64)> {
-    let tried = USUAL_LSB_PER_DPS.map(|lsb_per_dps| (1.0 / lsb_per_dps).to_radians());
-    let found = tried.into_iter().filter_map(|rad_s| Some((estimate(rad_s)?, rad_s)));
+    estimate: impl Fn(f64) -> Result<(GyroscopeEstimate, T), Refusal>,
+) -> Result<((GyroscopeEstimate, T), f64), Option<Refusal>> {
     let off = |estimate: &GyroscopeEstimate| {
         let matrix = estimate.model.terms().matrix;
         (0..3).map(|axis| (matrix[axis][axis] - 1.0).abs()).fold(0.0, f64::max)
     };
+    let (mut fits, mut axes) = (Vec::new(), None);
+    for lsb_per_dps in USUAL_LSB_PER_DPS {
+        let rad_s = (1.0 / lsb_per_dps).to_radians();
+        match estimate(rad_s) {
+            Ok(found) if off(&found.0) < USABLE => fits.push((found, rad_s)),
+            Err(refusal) if refusal.reason == Reason::Axes => axes = Some(refusal),
+            _ => {}
+        }
+    }
     let far = |estimate: &GyroscopeEstimate| off(estimate) >= TOLERANCE;
-    let fits = found.filter(|((estimate, _), _)| off(estimate) < USABLE);
-    fits.min_by(|((a, _), _), ((b, _), _)| {
+    let best = fits.into_iter().min_by(|((a, _), _), ((b, _), _)| {
         far(a).cmp(&far(b)).then(a.rms_rad.total_cmp(&b.rms_rad))
-    })
+    });
+    best.ok_or(axes)
 }
 
 fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {

@@ -4,9 +4,7 @@ use std::fmt;
 
 use super::{Calibration, parameter_id};
 use serde::Serialize;
-use wimu_calib::{
-    Guide, MagneticEstimate, MagneticPose, Model, Orientation, Pose, Reason, magnetometer,
-};
+use wimu_calib::{Guide, MagneticEstimate, MagneticPose, Orientation, Pose, Reason, magnetometer};
 use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
 
 use super::magnitude;
@@ -104,7 +102,7 @@ pub fn calibrate_magnetometer(
     };
     let all_fields: Vec<Option<[f64; 3]>> = data.iter().map(|o| o.magnetic_field_nt).collect();
     let mut fitted = Vec::new();
-    let mut guide = Guide::new(Model::Full9);
+    let mut guide = Guide::default();
     let mut poses = Vec::new();
     for rest in &rests {
         let first = rest.first_sample as usize;

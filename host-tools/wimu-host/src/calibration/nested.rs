@@ -136,8 +136,7 @@ pub(super) fn finding(
     refit: impl Fn(&[Pose]) -> Option<Estimate>,
     since_start_s: impl Fn(&Pose) -> f64,
 ) -> Option<Problem> {
-    // A model that violates a bound explains the residuals already.
-    if !matches!(estimate.method, Method::MultiPosition(_)) || estimate.beyond_bounds.is_some() {
+    if estimate.method != Method::MultiPosition {
         return None;
     }
     let tested = |all: bool| {

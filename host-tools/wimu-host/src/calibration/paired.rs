@@ -45,9 +45,8 @@ impl Paired {
     /// Two accelerometers of a recording: `reference` (the first if `None`) and `output` (the other one if `None` and
     /// there are two).
     ///
-    /// `sensitivity`, LSB/g, is the output's, and the reference's too unless `reference_sensitivity` is
-    /// given; without it, the median magnitude of the reference's counts is taken as 1 g.
-    /// For data in m/s² it is only stored for a board.
+    /// `sensitivity`, LSB/g, is that of both; without it, the median magnitude of the reference's counts is taken as 1 g. For
+    /// data in m/s² it is only stored for a board.
     ///
     /// # Errors
     /// Those of [`Recording::samples`]; `usage` when the recording does not have the two.
@@ -55,7 +54,6 @@ impl Paired {
         recording: &Recording,
         [reference, output]: [Option<u8>; 2],
         sensitivity: Option<Sensitivity>,
-        reference_sensitivity: Option<Sensitivity>,
     ) -> Result<Self> {
         let usage = |message: String, remedy: String| {
             Err(Code::Usage.error(message, remedy).at(&recording.name))
@@ -95,12 +93,6 @@ impl Paired {
         let sensitivity = match (x.unit, sensitivity) {
             (_, Some(given)) => Some(given),
             (OutputUnit::Mps2, None) => None,
-            (OutputUnit::Counts { .. }, None) if reference_sensitivity.is_some() => {
-                return usage(
-                    "--reference-sensitivity is given without --sensitivity".to_owned(),
-                    "give --sensitivity, the LSB/g of the output, too".to_owned(),
-                );
-            }
             (OutputUnit::Counts { nominal, .. }, None) => match nominal {
                 Some(nominal) => Some(nominal),
                 None => match Sensitivity::from_lsb_per_g(median_magnitude(&x)) {
@@ -116,14 +108,12 @@ impl Paired {
                 },
             },
         };
-        let scale = |known: Option<Sensitivity>| match (x.unit, known) {
+        let scale = match (x.unit, sensitivity) {
             (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
             _ => 1.0,
         };
-        let scales = [scale(reference_sensitivity.or(sensitivity)), scale(sensitivity)];
-        let scaled = |(x, y): ([f64; 3], [f64; 3])| {
-            [x.map(|axis| axis * scales[0]), y.map(|axis| axis * scales[1])]
-        };
+        let scaled =
+            |(x, y): ([f64; 3], [f64; 3])| [x, y].map(|value| value.map(|axis| axis * scale));
         Ok(Self {
             name: recording.name.clone(),
             reference: format!("accelerometer {reference}"),

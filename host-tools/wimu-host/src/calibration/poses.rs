@@ -3,9 +3,8 @@
 use std::collections::HashSet;
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Guide, Method, Model, MultiPosition, Orientation, Placement, Pose,
-    Reason, Refusal, Term, best_model, four_angle, multi_position_with, six_position,
-    six_position_labelled, three_angle,
+    Estimate, Face, Gravity, Guide, Orientation, Placement, Pose, Reason, Refusal, Term,
+    four_angle, multi_position, six_position, six_position_labelled, three_angle,
 };
 use wimu_model::{GyroscopeParameters, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -13,8 +12,8 @@ use super::file::Quality;
 use super::report::{Fit, Grade, MAX_POSES, StaticPose};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
-    MethodChoice, ModelChoice, NextPose, SENSOR_LSB_PER_G, SensorCalibration, Session, Source,
-    checks, gyroscope, magnitude, median, nested, parameter_id, saturation,
+    MethodChoice, NextPose, SENSOR_LSB_PER_G, SensorCalibration, Session, Source, checks,
+    gyroscope, magnitude, median, nested, parameter_id, saturation,
 };
 use crate::csv::AccelerationUnit;
 use crate::plural::counted;
@@ -24,8 +23,9 @@ use crate::{Code, Problem, Result};
 
 /// Largest number of orientations recommended at once.
 const MAX_ADVISED: usize = 6;
-/// Up to this many more poses than parameters are planned together: chosen one by one they would not be the best set.
-const PLANNED_BEYOND: usize = 3;
+/// Up to this many poses, three more than parameters, are planned together: chosen one by one they would not be the best set.
+const PLANNED: usize = 12;
+
 /// Estimates the error model from a dataset.
 ///
 /// Data that do not support an answer give a report with status `refused`, not an error.
@@ -255,8 +255,8 @@ impl<'a> Fitting<'a> {
     /// The estimate from poses at the nominal sensitivity.
     pub fn of(&self, poses: &[Pose]) -> Result<Estimate, Refusal> {
         let (gravity, options) = (self.gravity, self.options);
-        match (options.method, options.model) {
-            (MethodChoice::SixPosition, _) => match &options.sides {
+        match options.method {
+            MethodChoice::SixPosition => match &options.sides {
                 Some(sides) => {
                     let labelled: Vec<(Face, Pose)> =
                         sides.iter().copied().zip(poses.iter().copied()).collect();
@@ -264,15 +264,9 @@ impl<'a> Fitting<'a> {
                 }
                 None => six_position(poses, gravity, self.placement),
             },
-            (MethodChoice::FourAngle, _) => four_angle(poses, gravity, self.placement),
-            (MethodChoice::ThreeAngle, _) => three_angle(poses, gravity, self.placement),
-            (MethodChoice::MultiPosition, ModelChoice::Fixed(model)) => {
-                let what = MultiPosition { model, terms: options.terms, reject: true };
-                multi_position_with(poses, gravity, what)
-            }
-            (MethodChoice::MultiPosition, ModelChoice::Auto) => {
-                best_model(poses, gravity, options.terms, true)
-            }
+            MethodChoice::FourAngle => four_angle(poses, gravity, self.placement),
+            MethodChoice::ThreeAngle => three_angle(poses, gravity, self.placement),
+            MethodChoice::MultiPosition => multi_position(poses, gravity, options.multi_position()),
         }
     }
 }
@@ -449,9 +443,7 @@ impl Fitted<'_> {
     /// The poses that would resolve a refusal or improve the fit, and the number of worthwhile ones.
     fn advice(&self) -> (Vec<NextPose>, usize) {
         let worthwhile = match self.options.method {
-            MethodChoice::MultiPosition => {
-                Guide::after(self.options.wanted(), &self.poses).worth(|_| true)
-            }
+            MethodChoice::MultiPosition => Guide::after(&self.poses).worth(|_| true),
             _ => 0,
         };
         let least = match &self.outcome {
@@ -483,11 +475,9 @@ impl Fitted<'_> {
         if self.options.method != MethodChoice::MultiPosition {
             return Vec::new();
         }
-        let model = self.options.wanted();
-        let mut guide = Guide::after(model, &self.poses);
+        let mut guide = Guide::after(&self.poses);
         let count = guide.worth(|_| true).min(MAX_ADVISED).max(least);
-        let enough = model.parameters() + PLANNED_BEYOND;
-        let planned = count.max(enough.saturating_sub(self.poses.len()));
+        let planned = count.max(PLANNED.saturating_sub(self.poses.len()));
         let next = |remaining| {
             let next = guide.next_of(remaining, |_| true)?;
             guide.take(next.up());
@@ -499,16 +489,10 @@ impl Fitted<'_> {
 
 /// The terms that were fitted, or were requested.
 fn terms(estimate: Option<&Estimate>, options: &CalibrateOptions) -> Vec<&'static str> {
-    let model = match (estimate.map(|e| e.method), options.method) {
-        (Some(Method::MultiPosition(model)), _) => model,
-        (_, MethodChoice::SixPosition) => return vec!["bias", "scale", "misalignment_6"],
-        (_, MethodChoice::FourAngle | MethodChoice::ThreeAngle) => Model::BiasScale6,
-        (_, MethodChoice::MultiPosition) => options.wanted(),
-    };
-    let mut terms = match model {
-        Model::Bias3 => vec!["bias"],
-        Model::BiasScale6 => vec!["bias", "scale"],
-        Model::Full9 => vec!["bias", "scale", "misalignment_3"],
+    let mut terms = match options.method {
+        MethodChoice::SixPosition => vec!["bias", "scale", "misalignment_6"],
+        MethodChoice::FourAngle | MethodChoice::ThreeAngle => vec!["bias", "scale"],
+        MethodChoice::MultiPosition => vec!["bias", "scale", "misalignment_3"],
     };
     let more = estimate.map_or(options.terms, |estimate| estimate.terms);
     terms.extend(more.iter().map(|term| match term {

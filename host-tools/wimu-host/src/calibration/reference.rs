@@ -27,7 +27,7 @@ use crate::digits::{signed_with_sd, with_sd};
 use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, without_unit};
-use crate::{Code, Problem, Result};
+use crate::{Code, Problem};
 
 /// An axis in a [`ReferenceReport`].
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -52,8 +52,6 @@ pub struct AxisReport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseSource {
-    /// Given by the user.
-    Given,
     /// From both streams at rest.
     Rests,
     /// From neighbouring samples, which have the motion in common but not the noise.
@@ -82,10 +80,8 @@ pub struct ReferenceReport {
     pub samples: usize,
     /// Fewest degrees of freedom of any standard deviation.
     pub dof: Option<usize>,
-    /// Noise of the output over noise of the reference, as given or as estimated at rest.
+    /// Noise of the output over noise of the reference, at rest.
     pub noise_ratio: Option<f64>,
-    /// Whether it was estimated at rest.
-    pub noise_ratio_seen: bool,
     /// Parameters that were not observed, by name.
     pub not_observed: Vec<String>,
     /// X, Y, Z.
@@ -111,21 +107,10 @@ pub struct ReferenceReport {
 
 /// Bias and scale factor of one stream against the other.
 ///
-/// `noise_ratio` is the noise of the output over that of the reference (standard deviations); `None` estimates it at
-/// rest, else from neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the parameter set. Data that do not
-/// support an answer give a report with status `refused`.
-///
-/// # Errors
-/// `usage` when `noise_ratio` is not positive and finite.
-pub fn compare_with_reference(
-    data: &Paired,
-    noise_ratio: Option<f64>,
-    utc_s: Option<u64>,
-) -> Result<ReferenceReport> {
-    let (ratio, known_from) = match noise_ratio {
-        Some(ratio) => (Some(given(ratio)?), NoiseSource::Given),
-        None => (noise_ratio_at([0, 1].map(|which| data.rests(which))), NoiseSource::Rests),
-    };
+/// The ratio of their noises is that at rest, else that of neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the
+/// parameter set. Data that do not support an answer give a report with status `refused`.
+pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceReport {
+    let ratio = noise_ratio_at([0, 1].map(|which| data.rests(which)));
     let mut transfer =
         ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
     if data.one_sensor {
@@ -141,7 +126,6 @@ pub fn compare_with_reference(
         output: data.output.clone(),
         samples: data.pairs.len(),
         noise_ratio: ratio.map(NoiseRatio::get),
-        noise_ratio_seen: ratio.is_some() && known_from == NoiseSource::Rests,
         sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
         ..ReferenceReport::default()
     };
@@ -149,31 +133,22 @@ pub fn compare_with_reference(
         Ok(found) => found,
         Err(refusal) => {
             report.outcome.refuse(refusal.to_string());
-            return Ok(report);
+            return report;
         }
     };
     report.dof = Some(dof(&found));
-    report.axes = Some(found.axes.each_ref().map(|axis| AxisReport::new(axis, known_from)));
+    report.axes = Some(found.axes.each_ref().map(AxisReport::new));
     match found.model() {
         Ok(model) => report.complete(data, &found, model, utc_s),
         Err(error) => report.outcome.refuse(format!(
             "the result is not possible for an accelerometer: {error}; check the units of both streams"
         )),
     }
-    Ok(report)
-}
-
-fn given(ratio: f64) -> Result<NoiseRatio> {
-    NoiseRatio::new(ratio, 1.0).ok_or_else(|| {
-        Code::Usage.error(
-            format!("a noise ratio of {ratio} is not possible"),
-            "hold both still for ten seconds in the recording: that gives the noise of both",
-        )
-    })
+    report
 }
 
 impl AxisReport {
-    fn new(axis: &AxisTransfer, known_from: NoiseSource) -> Self {
+    fn new(axis: &AxisTransfer) -> Self {
         Self {
             offset_m_s2: axis.offset_mps2,
             offset_sd_m_s2: axis.offset_sd_mps2,
@@ -182,7 +157,7 @@ impl AxisReport {
             rms_mm_s2: axis.rms_mps2 * 1e3,
             separated: axis.line.is_some(),
             noise_from: axis.line.map(|line| match line.noise_from {
-                NoiseFrom::Ratio => known_from,
+                NoiseFrom::Ratio => NoiseSource::Rests,
                 NoiseFrom::Neighbours => NoiseSource::Neighbours,
                 NoiseFrom::Bounds => NoiseSource::Bounds,
             }),
@@ -369,7 +344,6 @@ impl fmt::Display for ReferenceReport {
             return write!(out, "{}", self.outcome);
         };
         let noise = |report: &AxisReport| match report.noise_from {
-            Some(NoiseSource::Given) => "noise ratio as given",
             Some(NoiseSource::Rests) => "noise ratio from rests",
             Some(NoiseSource::Neighbours) | None => "noise estimated from neighbouring samples",
             Some(NoiseSource::Bounds) => {

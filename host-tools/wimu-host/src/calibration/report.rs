@@ -159,7 +159,7 @@ pub struct Fit {
     pub fitted_rms_mm_s2: f64,
     /// The largest over all poses, mm/s².
     pub max_mm_s2: f64,
-    /// |f| − g of each pose under the model fitted without it, mm/s² rms; `None` where no pose can be left out.
+    /// |f| − g of each fitted pose under the model fitted without it, mm/s² rms; `None` where no pose can be left out.
     pub loo_rms_mm_s2: Option<f64>,
     /// The same with all visits of the pose's orientation left out, which decides; `None` where no orientation was
     /// visited again.

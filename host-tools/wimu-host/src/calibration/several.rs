@@ -52,8 +52,6 @@ pub struct SessionReport {
     pub poses: usize,
     /// Mean temperature, °C.
     pub temperature_c: Option<f64>,
-    /// |f| − g under the session's own calibration, mm/s² rms.
-    pub own_rms_mm_s2: f64,
     /// |f| − g under the combined calibration, mm/s² rms.
     pub rms_mm_s2: Option<f64>,
     /// Bias minus that of the combined calibration at the session's temperature, m/s².
@@ -101,8 +99,6 @@ pub struct SeveralFit {
     pub rms_mm_s2: Option<f64>,
     /// Standard deviations between sessions.
     pub between_sd: Repeatability,
-    /// Standard deviations within a session.
-    pub within_sd: Repeatability,
     /// Degrees of freedom of those between sessions: bias, scale factor, misalignment.
     pub between_dof: [f64; 3],
     /// 95 % intervals of those between sessions; `None` where none is seen.
@@ -226,7 +222,6 @@ impl SeveralReport {
                 source: single.source.clone(),
                 poses: single.poses,
                 temperature_c: estimate.temperature_c,
-                own_rms_mm_s2: estimate.rms_mps2 * 1e3,
                 rms_mm_s2: residual_mm_s2(&found.model, std::slice::from_ref(single), gravity),
                 bias_difference_m_s2: [0, 1, 2]
                     .map(|axis| own[axis] - terms.bias_mps2[axis] - slope[axis] * dt),
@@ -239,7 +234,6 @@ impl SeveralReport {
             uncalibrated_rms_mm_s2: residual_mm_s2(&ErrorModel::default(), singles, gravity),
             rms_mm_s2,
             between_sd: found.between_sd.into(),
-            within_sd: found.within_sd.into(),
             between_dof: found.dof,
             between_95: [0, 1, 2].map(|k| interval_95(found.between_sd[k], found.dof[k])),
             temperature: found.temperature,
@@ -357,26 +351,20 @@ impl fmt::Display for SeveralReport {
             return write!(out, "{}", self.outcome);
         };
         let of = |value: f64, unit: f64| significant(value * unit, 3);
-        let (between, within) = (&fit.between_sd, &fit.within_sd);
-        let changes = |between: f64, within: f64, unit: f64, name: &str| {
-            if between > 0.0 {
-                return format!("± {} {name} (± {})", of(between, unit), of(within, unit));
-            }
-            format!("no change seen (± {} {name})", of(within, unit))
+        let between = &fit.between_sd;
+        let change = |between: f64, interval: Option<[f64; 2]>, unit: f64, name: &str| {
+            let Some([low, high]) = interval else { return "no change seen".to_owned() };
+            let (sd, low, high) = (of(between, unit), of(low, unit), of(high, unit));
+            format!("± {sd} {name} (95 % {low} to {high})")
         };
         writeln!(
             out,
-            "{}: bias repeats within ± {} mm/s² between sessions{} (± {} within one)\n\
-             scale factor {}, misalignment {}\n\
+            "{}, change between them: bias {}, scale factor {}, misalignment {}\n\
              |f| − g over all poses: {} mm/s² rms before, {} after",
             counted(self.sessions.len(), "session"),
-            of(between.bias_m_s2, 1e3),
-            fit.between_95[0].map_or(String::new(), |[low, high]| {
-                format!(", 95 % {} to {}", of(low, 1e3), of(high, 1e3))
-            }),
-            of(within.bias_m_s2, 1e3),
-            changes(between.scale, within.scale, 1e6, "ppm"),
-            changes(between.misalignment_rad, within.misalignment_rad, 1e3, "mrad"),
+            change(between.bias_m_s2, fit.between_95[0], 1e3, "mm/s²"),
+            change(between.scale, fit.between_95[1], 1e6, "ppm"),
+            change(between.misalignment_rad, fit.between_95[2], 1e3, "mrad"),
             significant(fit.uncalibrated_rms_mm_s2.unwrap_or_default(), 3),
             significant(fit.rms_mm_s2.unwrap_or_default(), 3),
         )?;
@@ -428,12 +416,8 @@ impl SeveralReport {
         };
         let title = "Bias of each session less that of the combination";
         page.chart(&Chart::new(title, x, "mm/s²", [0, 1, 2].map(bias).into()));
-        let own = self.sessions.iter().map(|session| Some(session.own_rms_mm_s2));
         let combined = self.sessions.iter().map(|session| session.rms_mm_s2);
-        let series = vec![
-            placed(sizes("its own calibration", own), &[]),
-            placed(sizes("combined calibration", combined), &names),
-        ];
+        let series = vec![placed(sizes("combined calibration", combined), &names)];
         let title = "Size of |f| − g in each session, rms";
         page.chart(&Chart { log: true, ..Chart::new(title, x, "mm/s²", series) });
         page

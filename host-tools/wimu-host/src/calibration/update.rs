@@ -5,7 +5,9 @@ use std::fmt;
 use super::{Calibration, parameter_id};
 use serde::Serialize;
 use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
-use wimu_model::{CalibrationQuality, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms};
+use wimu_model::{
+    CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
+};
 
 use super::poses::Poses;
 use crate::chart::{Band, Chart, Series};
@@ -98,7 +100,6 @@ pub fn update(
         })
     };
     let rests: Vec<RestReport> = found.iter().filter_map(rest).collect();
-    let contradictions = check.contradictions();
     let mut report = UpdateReport {
         outcome: Outcome { findings: contradicting(&rests), ..Outcome::default() },
         source: data.name.to_owned(),
@@ -106,70 +107,82 @@ pub fn update(
         stored_id: parameter_id(stored).to_string(),
         gravity_m_s2: gravity.mps2(),
         poses: found.len(),
-        contradictions,
+        contradictions: check.contradictions(),
         rests,
         ..UpdateReport::default()
     };
-    let unusable = found.len() - report.rests.len();
-    // One of ten may be disturbed.
-    let allowed = found.len() / 10;
-    let reason = if found.is_empty() {
-        Some("no rest was found: hold the sensor still for two seconds or more".to_owned())
-    } else if unusable > allowed {
-        Some(format!(
-            "{unusable} of {} rests differ too much from gravity: check that it is this sensor, and the unit",
-            found.len()
-        ))
-    } else if let (Some(alone), true) = (lone(&report.rests), allowed == 0) {
-        let rest = &report.rests[alone];
-        Some(format!(
-            "rest {alone} (from 0, at sample {}) is the only one of {} that contradicts the calibration, by {:+.0} mm/s²: \
-             repeat that position, and calibrate again if it still does",
-            rest.first_sample,
-            found.len(),
-            rest.residual_mm_s2
-        ))
-    } else if contradictions as usize > allowed {
-        Some(format!(
-            "the calibration is no longer valid: {contradictions} of {} rests contradict it; calibrate again",
-            found.len()
-        ))
-    } else {
-        None
-    };
-    if let Some(reason) = reason {
-        report.outcome.refuse(reason);
-        return Ok(report);
-    }
-    let model = match check.model() {
-        Ok(model) => model,
-        Err(error) => {
+    match (report.refusal(), check.model()) {
+        (Some(reason), _) => report.outcome.refuse(reason),
+        (None, Ok(model)) => report.complete(stored, quality, &check, model, utc_s),
+        (None, Err(error)) => {
             let reason = format!("the update is not possible for an accelerometer: {error}");
             report.outcome.refuse(reason);
-            return Ok(report);
         }
-    };
-    let covariance = check.covariance();
-    let squares: f64 = report.rests.iter().map(|r| r.residual_mm_s2.powi(2)).sum();
-    let rms_mps2 = (squares / report.rests.len() as f64).sqrt() * 1e-3;
-    let terms = QualityTerms {
-        utc_s: utc_s.or(quality.terms().utc_s),
-        poses: quality.terms().poses.saturating_add(check.poses()),
-        rms_mps2: rms_mps2 as f32,
-        loo_rms_mps2: None,
-        covariance: ModelCovariance::from_matrix(covariance.matrix())
-            .unwrap_or(quality.terms().covariance),
-        ..*quality.terms()
-    };
-    let set = ParameterSet { model, quality: CalibrationQuality::new(terms).ok(), ..*stored };
-    let before = stored.model.terms().bias_mps2;
-    let now = model.terms().bias_mps2;
-    report.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
-    report.model = Some(*model.terms());
-    report.sd = Some(Parameter::ALL.map(|parameter| covariance.sd(parameter)));
-    report.parameter_id = Some(parameter_id(&set).to_string());
-    report.parameters = Some(set);
+    }
     Ok(report)
+}
+
+impl UpdateReport {
+    /// Why the rests do not support an update.
+    fn refusal(&self) -> Option<String> {
+        let Self { poses, contradictions, .. } = *self;
+        let unusable = poses - self.rests.len();
+        // One of ten may be disturbed.
+        let allowed = poses / 10;
+        if poses == 0 {
+            return Some(
+                "no rest was found: hold the sensor still for two seconds or more".to_owned(),
+            );
+        }
+        if unusable > allowed {
+            return Some(format!(
+                "{unusable} of {poses} rests differ too much from gravity: check that it is this sensor, and the unit"
+            ));
+        }
+        if let (Some(alone), true) = (lone(&self.rests), allowed == 0) {
+            let rest = &self.rests[alone];
+            return Some(format!(
+                "rest {alone} (from 0, at sample {}) is the only one of {poses} that contradicts the calibration, by {:+.0} \
+                 mm/s²: repeat that position, and calibrate again if it still does",
+                rest.first_sample, rest.residual_mm_s2
+            ));
+        }
+        (contradictions as usize > allowed).then(|| {
+            format!(
+                "the calibration is no longer valid: {contradictions} of {poses} rests contradict it; calibrate again"
+            )
+        })
+    }
+
+    /// Fills in the updated calibration.
+    fn complete(
+        &mut self,
+        stored: &ParameterSet,
+        quality: &CalibrationQuality,
+        check: &SelfCheck,
+        model: ErrorModel,
+        utc_s: Option<u64>,
+    ) {
+        let covariance = check.covariance();
+        let squares: f64 = self.rests.iter().map(|r| r.residual_mm_s2.powi(2)).sum();
+        let rms_mps2 = (squares / self.rests.len() as f64).sqrt() * 1e-3;
+        let terms = QualityTerms {
+            utc_s: utc_s.or(quality.terms().utc_s),
+            poses: quality.terms().poses.saturating_add(check.poses()),
+            rms_mps2: rms_mps2 as f32,
+            loo_rms_mps2: None,
+            covariance: ModelCovariance::from_matrix(covariance.matrix())
+                .unwrap_or(quality.terms().covariance),
+            ..*quality.terms()
+        };
+        let set = ParameterSet { model, quality: CalibrationQuality::new(terms).ok(), ..*stored };
+        let [before, now] = [&stored.model, &model].map(|model| model.terms().bias_mps2);
+        self.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
+        self.model = Some(*model.terms());
+        self.sd = Some(Parameter::ALL.map(|parameter| covariance.sd(parameter)));
+        self.parameter_id = Some(parameter_id(&set).to_string());
+        self.parameters = Some(set);
+    }
 }
 
 /// The rests that contradict the calibration.

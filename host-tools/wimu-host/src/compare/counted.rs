@@ -75,7 +75,7 @@ pub(super) struct Counted {
 impl Counted {
     pub fn read<R: Read>(mut reader: RecordingReader<R>, overview: &Overview) -> Result<Self> {
         // The same samples of one sensor: differences are errors of the wireless link alone.
-        let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or_default();
+        let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or(NoiseRatio::EQUAL);
         let mut counted = Self {
             meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
             pairs: 0,

@@ -26,7 +26,9 @@ impl ToDocument for Comparison {
             axes(&mut document, "Values of wireless against cable (± is 1 σ)", &values.axes);
         }
         document.findings(&self.findings);
-        self.pictures(&mut document);
+        for chart in &self.charts() {
+            document.chart(chart);
+        }
         document
     }
 }

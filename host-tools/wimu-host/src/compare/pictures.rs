@@ -3,79 +3,18 @@
 use super::link::Slice;
 use super::{Axis, Comparison, History, Values};
 use crate::chart::{self, Band, Chart, Series};
-use crate::document::Document;
 
 const AXES: [&str; 3] = ["X", "Y", "Z"];
 /// Smallest latency shown, ms: the uncertainty of the clock.
 const LEAST_SHOWN_MS: f64 = 0.1;
 
 impl Comparison {
-    /// Adds the charts to a page, without those whose curves lie upon each other.
-    pub fn pictures(&self, report: &mut Document) {
-        for (name, chart) in self.charts() {
-            if !name.starts_with("both") {
-                report.chart(&chart);
-            }
-        }
-    }
-
-    /// Largest fraction of samples taken in a slice that did not arrive: of the cable and of the
-    /// wireless link.
-    pub fn worst_loss(&self) -> [f64; 2] {
-        let worst = |slices: &Vec<Slice>| {
-            let shares = slices.iter().filter_map(Slice::lost_share);
-            shares.fold(0.0, f64::max)
-        };
-        self.history.slices.each_ref().map(worst)
-    }
-
-    /// The charts, with their file names.
-    pub fn charts(&self) -> Vec<(&'static str, Chart)> {
-        let history = &self.history;
-        let axis = self.shown_axis();
-        let sides = |pairs: &[(f64, [[f64; 3]; 2])], wireless: &str| {
-            let side = |which: usize, name: &str| {
-                let points = pairs.iter().map(|(time, pair)| (*time, pair[which][axis]));
-                Series::line(name, chart::broken(points.collect()))
-            };
-            vec![side(1, wireless), side(0, "cable")]
-        };
-        let name = AXES[axis];
-        let mut charts = over_time(history).to_vec();
-        charts.push((
-            "both",
-            chart(
-                format!("{name} as received on both links ({})", self.stream),
-                "m/s²",
-                sides(&history.excerpt, "wireless"),
-            ),
-        ));
-        if let Some(values) = &self.values {
-            let corrected: Vec<_> = history
-                .excerpt
-                .iter()
-                .map(|(time, [c, w])| (*time, [*c, values.model.correct(*w)]))
-                .collect();
-            charts.push((
-                "both-corrected",
-                chart(
-                    format!("{name} with the link's error model applied"),
-                    "m/s²",
-                    sides(&corrected, "wireless, corrected"),
-                ),
-            ));
-            charts.extend(gap(history, values));
-        }
-        charts.extend(evolution(history));
+    /// The charts of its page.
+    pub fn charts(&self) -> Vec<Chart> {
+        let mut charts = over_time(&self.history).to_vec();
+        charts.extend(self.values.iter().flat_map(|values| gap(&self.history, values)));
+        charts.extend(evolution(&self.history));
         charts
-    }
-
-    /// The axis with the largest difference between the links.
-    fn shown_axis(&self) -> usize {
-        let difference = |axis: &usize| {
-            self.values.as_ref().map_or(0.0, |values| values.axes[*axis].rms_before_mps2)
-        };
-        (0..3).max_by(|a, b| difference(a).total_cmp(&difference(b))).unwrap_or(0)
     }
 }
 
@@ -84,16 +23,12 @@ fn chart(title: impl Into<String>, y: &str, series: Vec<Series>) -> Chart {
 }
 
 /// Wireless less cable, before and after correction.
-fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
+fn gap(history: &History, values: &Values) -> [Chart; 2] {
     [
-        ("gap", "Figure 5 of Yu & Chaczko: wireless less cable, as received", false),
-        (
-            "gap-corrected",
-            "Figure 6 of Yu & Chaczko: wireless less cable, corrected by the link's model",
-            true,
-        ),
+        ("Figure 5 of Yu & Chaczko: wireless less cable, as received", false),
+        ("Figure 6 of Yu & Chaczko: wireless less cable, corrected by the link's model", true),
     ]
-    .map(|(name, title, corrected)| {
+    .map(|(title, corrected)| {
         let series = (0..3)
             .map(|axis| {
                 let points = history.excerpt.iter().map(|(time, [c, w])| {
@@ -103,7 +38,7 @@ fn gap(history: &History, values: &Values) -> [(&'static str, Chart); 2] {
                 Series::line(AXES[axis], chart::broken(points.collect()))
             })
             .collect();
-        (name, chart(title, "mm/s²", series))
+        chart(title, "mm/s²", series)
     })
 }
 
@@ -112,7 +47,7 @@ type Estimate<'a> = dyn Fn(usize, &Axis) -> Option<(f64, f64)> + 'a;
 
 /// Estimated bias and scale factor as functions of time, with two standard deviations: for an axis
 /// that hardly moves the offset, for others since both are separable.
-fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
+fn evolution(history: &History) -> Vec<Chart> {
     let last = history.evolution.last().map(|(_, axes)| *axes);
     let has_line = |axis: usize| last.is_some_and(|axes| axes[axis].line.is_some());
     let picture = |title: &str, y: &str, of: &Estimate<'_>| {
@@ -162,15 +97,15 @@ fn evolution(history: &History) -> Vec<(&'static str, Chart)> {
     );
     let scale =
         picture("Figure 7, continued: estimated error of its scale factor, ± 2 σ", "%", &scale);
-    let mut charts = vec![("error", bias)];
+    let mut charts = vec![bias];
     if !scale.series.is_empty() {
-        charts.push(("error-scale", scale));
+        charts.push(scale);
     }
     charts
 }
 
 /// Latency and loss over time.
-fn over_time(history: &History) -> [(&'static str, Chart); 2] {
+fn over_time(history: &History) -> [Chart; 2] {
     let links = ["cable", "wireless"];
     let time = |slice: usize| (slice as f64 + 0.5) * history.slice_s;
     let mut series = Vec::new();
@@ -203,5 +138,5 @@ fn over_time(history: &History) -> [(&'static str, Chart); 2] {
         "%",
         vec![lost(wireless, "wireless"), lost(cable, "cable")],
     );
-    [("latency", latency), ("loss", loss)]
+    [latency, loss]
 }

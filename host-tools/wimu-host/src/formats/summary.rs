@@ -248,9 +248,15 @@ impl TrackContents {
         let rows = std::mem::take(&mut self.first_rows);
         let steps = (rows.windows(2)).map(|pair| pair[1].0.saturating_sub(pair[0].0));
         let steps = steps.filter(|step| *step > 0).map(|step| step as f64);
-        let Some(step_ns) = median(steps) else {
+        let Some(median_ns) = median(steps.clone()) else {
             return;
         };
+        // Times of whole milliseconds make every step a little wrong, and their mean right.
+        let (mut sum_ns, mut count) = (0.0, 0.0);
+        for step_ns in steps.filter(|step| (0.5..1.5).contains(&(step / median_ns))) {
+            (sum_ns, count) = (sum_ns + step_ns, count + 1.0);
+        }
+        let step_ns = sum_ns / count;
         self.step_ns = Some(step_ns);
         self.summary.rate_hz = Some(1e9 / step_ns);
         if self.info.quantity == Quantity::SpecificForce {

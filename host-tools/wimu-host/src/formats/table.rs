@@ -140,6 +140,9 @@ fn read_axes(
     if !sensors.is_empty() {
         return Ok(());
     }
+    if survey.count.rows == 0 && !filter.is_empty() {
+        return Err(rows::nothing_passes(source, &table, &filter)?.at(source.name()));
+    }
     survey.count.check(source.name(), &table)?;
     survey.one_source(&table, &layout, !options.poses).map_err(at_header)?;
     if times::is_dot(&table, &layout, &survey) {
@@ -167,10 +170,39 @@ fn read_axes(
     count.check(source.name(), &table)
 }
 
+/// Tables that go beside a recording: columns that tell them, what they are, and how they are used.
+const BESIDE: [(&[&str], &str, &str); 3] = [
+    (
+        &["anchor", "range"],
+        "these are ranges to anchors",
+        "locate the unit with `wimu navigate FILE --setup anchors=ANCHORS.csv`",
+    ),
+    (
+        &["anchor", "position e"],
+        "these are positions of anchors",
+        "give them beside ranges: `wimu navigate RANGES.csv --setup anchors=FILE`",
+    ),
+    (
+        &["speed"],
+        "these are speeds of a vehicle",
+        "give them beside a recording: `wimu navigate RECORDING --odometry FILE`",
+    ),
+];
+
 /// Refuses a table without anything inertial.
 fn has_tracks(table: &Table, layout: &Layout) -> Result<()> {
     let is_axis = |name: &String| name.to_lowercase().starts_with("accelerometer ");
-    if !layout.groups.is_empty() || table.names.iter().any(is_axis) {
+    let is_inertial =
+        |group: &Group| matches!(group.quantity, Quantity::SpecificForce | Quantity::AngularRate);
+    if layout.groups.iter().any(is_inertial) || table.names.iter().any(is_axis) {
+        return Ok(());
+    }
+    let has =
+        |name: &&str| table.names.iter().any(|n| names::split_unit(n).0.eq_ignore_ascii_case(name));
+    if let Some((_, what, remedy)) = BESIDE.iter().find(|(columns, ..)| columns.iter().all(has)) {
+        return Err(Code::CsvMissingColumn.error(*what, *remedy));
+    }
+    if !layout.groups.is_empty() {
         return Ok(());
     }
     let mut named = table.names[..table.names.len().min(MOST_NAMED)].join(", ");

@@ -10,7 +10,7 @@ use wimu_link::hello::Capabilities;
 use wimu_link::message::Event as Happened;
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use crate::calibration::{CalibrateOptions, Fitting, MethodChoice, ModelChoice};
+use crate::calibration::{CalibrateOptions, Fitting, MethodChoice};
 use crate::capture::Link;
 use crate::decode::{Arrival, Event};
 use crate::formats;
@@ -64,10 +64,7 @@ impl Plan {
             MethodChoice::FourAngle => Guidance::Rotation(4),
             MethodChoice::ThreeAngle => Guidance::Rotation(3),
         };
-        let fewest = match options.model {
-            ModelChoice::Fixed(model) => model.parameters() + 1,
-            ModelChoice::Auto => wimu_calib::Model::Bias3.parameters() + 1,
-        };
+        let fewest = options.multi_position().fewest_poses();
         let count = match (guidance, count) {
             (Guidance::Sides, _) => Face::ALL.len(),
             (Guidance::Rotation(steps), None) => ROTATIONS * steps,
@@ -80,7 +77,7 @@ impl Plan {
             }
             (Guidance::Orientations, Some(count)) if count < fewest => {
                 let text = format!("--count {count} is too small for this model");
-                let remedy = format!("give {fewest} or more, or a smaller --model");
+                let remedy = format!("give {fewest} or more, or --model auto");
                 return Err(Code::Usage.error(text, remedy));
             }
             (_, count) => count.unwrap_or(POSES),
@@ -320,7 +317,7 @@ impl LivePoses {
     /// Begins a session with the samples of the interrupted one.
     fn begin(&mut self) {
         let wanted = self.plan.wanted();
-        self.session = Some(Session::new(self.rate_hz, self.plan.options.wanted(), wanted));
+        self.session = Some(Session::new(self.rate_hz, wanted));
         (self.pushed, self.kept) = (0, 0);
         self.starts.clear();
         let earlier = self.earlier.take();

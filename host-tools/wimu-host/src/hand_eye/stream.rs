@@ -5,8 +5,8 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::formats::table::{LENGTH, Measurements, NUMBER, TIME};
+use crate::imu::Imu;
 use crate::lag::{Lag, Search, lag};
-use crate::motion::MotionRecording;
 use crate::plural::counted;
 use crate::series::{Interp, Ns, Series, Value};
 use crate::{Code, Problem, Result};
@@ -176,16 +176,15 @@ impl PoseStream {
     ///
     /// # Errors
     /// `no_rows` without angular rates.
-    pub fn of_inertial(recording: &MotionRecording) -> Result<Self> {
+    pub fn of_inertial(recording: &Imu) -> Result<Self> {
         let mut rotation = UnitQuaternion::identity();
-        let samples = recording.times_s.iter().zip(&recording.samples);
-        let rates = samples.filter_map(|(t, sample)| Some((*t, sample.step_s, sample.rate_rad_s?)));
-        let pose = |(time_s, step_s, rate): (f64, f64, [f64; 3])| {
-            let angle = Vector3::from(rate) * step_s.max(0.0);
+        let samples = recording.samples.t.iter().zip(&recording.samples.v);
+        let poses = samples.filter_map(|(time, sample)| {
+            let angle = sample.rate_rad_s? * sample.step_s;
             rotation *= UnitQuaternion::from_scaled_axis(angle);
-            StreamPose { time_s, position_m: Vector3::zeros(), rotation }
-        };
-        let poses: Vec<StreamPose> = rates.map(pose).collect();
+            Some(StreamPose { time_s: time.s(), position_m: Vector3::zeros(), rotation })
+        });
+        let poses: Vec<StreamPose> = poses.collect();
         if poses.is_empty() {
             let message = format!("{} has no angular rates", recording.name);
             let remedy = "the rotation to a camera needs a gyroscope, or poses of the body";

@@ -140,7 +140,7 @@ impl AidLink {
             None => Ok(Aids::of(&table, Some(arrived_s), &mounting)?.aids),
             Some(ranging) => {
                 let ranges = ranging.ranges(&table, arrived_s)?;
-                Ok(ranges.iter().map(|range| range.aid(&mounting)).collect())
+                Ok(ranges.iter().map(|range| range.mounted(&mounting)).collect())
             }
         }
     }

@@ -10,7 +10,8 @@
 //! use nalgebra::{Matrix1, RowVector3};
 //! use wimu_host::inertial::aids::{Aid, Aids, Kind, Outcome, State, Update};
 //! use wimu_host::inertial::{Choice, navigate};
-//! use wimu_host::motion::{MotionRecording, UnitSample};
+//! use wimu_host::imu::{Imu, Sample};
+//! use wimu_host::series::Ns;
 //! use wimu_nav::filter::Filter;
 //! use wimu_nav::sensor::{Measurement, Prediction};
 //! use wimu_nav::state::{Block, POSITION};
@@ -46,14 +47,13 @@
 //! }
 //!
 //! // Fifteen seconds at rest.
-//! let mut recording = MotionRecording::default();
+//! let mut recording = Imu::default();
 //! let mut aids = Aids::default();
 //! for k in 0..1500_u32 {
-//!     let (time_s, step_s) = (f64::from(k) * 0.01, 0.01);
-//!     recording.times_s.push(time_s);
-//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
-//!     recording.samples.push(UnitSample { step_s, force_mps2, rate_rad_s: Some([0.0; 3]), ..UnitSample::default() });
-//!     recording.truth.push(None);
+//!     let time_s = f64::from(k) * 0.01;
+//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }].into();
+//!     let rate_rad_s = Some([0.0; 3].into());
+//!     recording.push(Ns::from_s(time_s), Sample { force_mps2, rate_rad_s, ..Sample::default() });
 //!     if k % 100 == 0 {
 //!         aids.aids.push(Aid::of(&ALTIMETER, time_s, &[312.0], 0.3));
 //!     }
@@ -82,11 +82,10 @@ use wimu_nav::navigator;
 use wimu_nav::sensor::{Measurement, Timed};
 use wimu_nav::state::Block;
 
-use super::{Residual, StartPose};
+use super::{Residual, StartPose, other_clock};
 use crate::digits::significant;
 use crate::formats::table::{MeasuredColumn, Measurements, TIME};
 use crate::localization::{AnchorStates, Ranging};
-use crate::motion::other_clock;
 use crate::plural::counted;
 use crate::stats::norm;
 use crate::{Code, Problem, Result};

@@ -2,10 +2,10 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{Nees, compare, moving};
+use super::truth::{Nees, compare, heading_rad, moving, nees};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{Agreement, Array, ArrayBody, ArrayCalibration, ArrayGeometry};
-use crate::motion::{LIKELY, heading_rad, nees};
+use crate::imu::LIKELY;
 use crate::stats::norm;
 use crate::{Code, Problem, Result};
 
@@ -142,7 +142,7 @@ fn path_of(
     let mut path = path.checked(&recording.name, super::REMEDY)?;
     let truth = recording.truth();
     let true_rate = recording.beside(&recording.reference.rate_rad_s);
-    let column = recording.moving();
+    let column = recording.reference.moving_on(recording.times());
     let moving = moving(&recording.times_s(), column.as_deref(), &truth, &true_rate);
     compare(&mut path, &truth, &moving);
     let valid = |k: &usize| path.points[*k].valid && moving.get(*k).is_some_and(|moves| *moves);

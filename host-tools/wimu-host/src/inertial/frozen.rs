@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::motion::{MotionRecording, Second};
+use crate::imu::Imu;
 use crate::stats::median;
 
 /// Second differences of an axis whose noise is more than a step are, in the median, more than so many steps: 1.65 σ of
@@ -14,8 +14,8 @@ const REPEATS: usize = 16;
 
 /// The samples that repeat, on all axes, the one before for longer than a sampling hold explains: none where the
 /// accelerometer's noise at rest does not show, as of coarse steps, for it repeats itself then.
-pub(super) fn runs(recording: &MotionRecording) -> Vec<Range<usize>> {
-    let samples = &recording.samples;
+pub(super) fn runs(recording: &Imu) -> Vec<Range<usize>> {
+    let samples = &recording.samples.v;
     let mut alike: Vec<Range<usize>> = Vec::new();
     for (k, sample) in samples.iter().enumerate() {
         match alike.last_mut() {
@@ -33,11 +33,11 @@ pub(super) fn runs(recording: &MotionRecording) -> Vec<Range<usize>> {
     if !alike.iter().any(is_long) {
         return Vec::new();
     }
-    let Some(quiet) = recording.seconds().find(Second::is_quiet) else {
+    let Some((still, _)) = recording.still_seconds().into_iter().next() else {
         return Vec::new();
     };
     let there = alike.iter();
-    let there = there.filter(|run| quiet.samples.contains(&run.start));
+    let there = there.filter(|run| still.contains(&run.start));
     let there: Vec<Range<usize>> = there.cloned().collect();
     if there.iter().any(is_long) || !(0..3).any(|axis| is_noisy(recording, &alike, &there, axis)) {
         return Vec::new();
@@ -47,13 +47,8 @@ pub(super) fn runs(recording: &MotionRecording) -> Vec<Range<usize>> {
 }
 
 /// Whether an axis's noise in `quiet` is more than its steps, as they are in `all`.
-fn is_noisy(
-    recording: &MotionRecording,
-    all: &[Range<usize>],
-    quiet: &[Range<usize>],
-    axis: usize,
-) -> bool {
-    let value = |run: &Range<usize>| recording.samples[run.start].force_mps2[axis];
+fn is_noisy(recording: &Imu, all: &[Range<usize>], quiet: &[Range<usize>], axis: usize) -> bool {
+    let value = |run: &Range<usize>| recording.samples.v[run.start].force_mps2[axis];
     let changes = all.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
     let step = changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min);
     let second = |three: &[Range<usize>]| {

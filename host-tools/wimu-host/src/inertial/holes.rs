@@ -1,12 +1,21 @@
 //! Samples of which the accelerometer gives no number, more than its full scale, or goes on giving the last one: they are
 //! left out, as if they were missing.
 
+use nalgebra::Vector3;
+
 use super::{InertialPath, PathPoint, frozen};
-use crate::motion::{
-    FULL_SCALE_MPS2, FULL_SCALE_RAD_S, FULL_SCALE_UT, MotionRecording, UnitSample,
-};
+use crate::imu::{Imu, Sample};
 use crate::plural::counted;
+use crate::series::{Flags, Series};
 use crate::{Code, Problem, Result};
+
+/// Full scale of an accelerometer that is not known, m/s²: that of the widest digital MEMS accelerometers is ± 200 g
+/// (ADXL375, datasheet).
+pub(crate) const FULL_SCALE_MPS2: f64 = 2000.0;
+/// The same of a gyroscope, rad/s: 20,000 deg/s (ADXRS649, datasheet).
+const FULL_SCALE_RAD_S: f64 = 350.0;
+/// The same of a magnetometer, µT: ± 50 gauss (LSM303AGR, datasheet).
+const FULL_SCALE_UT: f64 = 5000.0;
 
 /// Samples that are left out, from a recording's first to its last, and what to say of them.
 pub(crate) struct Holes {
@@ -19,12 +28,12 @@ impl Holes {
     ///
     /// # Errors
     /// `data_refused` where most samples are no numbers, or beyond the full scale.
-    pub fn of(recording: &MotionRecording) -> Result<Option<Self>> {
-        let is_number = |sample: &UnitSample| sample.force_mps2.iter().all(|f| f.is_finite());
-        let mut left_out: Vec<bool> = recording.samples.iter().map(|s| !is_number(s)).collect();
+    pub fn of(recording: &Imu) -> Result<Option<Self>> {
+        let is_number = |sample: &Sample| sample.force_mps2.iter().all(|f| f.is_finite());
+        let mut left_out: Vec<bool> = recording.samples.v.iter().map(|s| !is_number(s)).collect();
         let none = left_out.contains(&true).then(|| no_number(recording, &left_out));
         let most = recording.full_scale_mps2.unwrap_or(FULL_SCALE_MPS2);
-        let force = |s: &UnitSample| is_number(s).then_some(s.force_mps2);
+        let force = |s: &Sample| is_number(s).then_some(s.force_mps2);
         let too_much = beyond(recording, "accelerometer", most, "m/s²", force);
         for k in too_much.iter().flat_map(|(samples, _)| samples) {
             left_out[*k] = true;
@@ -52,7 +61,7 @@ impl Holes {
             findings.push(Code::SamplesLeftOut.warning(format!(
                 "all axes of the accelerometer give one and the same value, without noise, from {:.2} s on, in {}: left \
                  out, as if they were missing",
-                recording.times_s[first.start],
+                recording.samples.t[first.start].s(),
                 counted(count, "sample")
             )));
         }
@@ -64,30 +73,24 @@ impl Holes {
     }
 
     /// The other samples.
-    pub fn left_out_of(&self, recording: &MotionRecording) -> MotionRecording {
-        let (mut times_s, mut samples, mut truth) = (Vec::new(), Vec::new(), Vec::new());
+    pub fn left_out_of(&self, recording: &Imu) -> Imu {
+        let mut samples = Series::default();
         let mut waited_s = 0.0;
-        for (k, sample) in recording.samples.iter().enumerate() {
+        for (k, sample) in recording.samples.v.iter().enumerate() {
             waited_s += sample.step_s;
             if self.left_out[k] {
                 continue;
             }
-            times_s.push(recording.times_s[k]);
-            truth.push(recording.truth.get(k).copied().flatten());
-            samples.push(UnitSample {
+            let sample = Sample {
                 step_s: waited_s,
                 rate_rad_s: sample.rate_rad_s.filter(|v| is_within(v, FULL_SCALE_RAD_S)),
                 field_ut: sample.field_ut.filter(|v| is_within(v, FULL_SCALE_UT)),
                 ..*sample
-            });
+            };
+            samples.push(recording.samples.t[k], sample, Flags::NONE);
             waited_s = 0.0;
         }
-        let mut others = MotionRecording::new(recording.name.clone(), times_s, samples);
-        others.truth = truth;
-        others.covariance = recording.covariance;
-        others.of_sessions = recording.of_sessions;
-        others.findings.clone_from(&recording.findings);
-        others
+        Imu { samples, ..recording.without_samples() }
     }
 
     /// Puts a point at each of them: between its neighbours, as uncertain as the later one, and valid where both are.
@@ -111,32 +114,33 @@ impl Holes {
     }
 }
 
-fn is_within(vector: &[f64; 3], most: f64) -> bool {
+fn is_within(vector: &Vector3<f64>, most: f64) -> bool {
     vector.iter().all(|v| v.abs() <= most)
 }
 
 /// Samples in which a sensor gives more than its full scale, or no number, and what to say of them; `None` where there
 /// are none.
 fn beyond(
-    recording: &MotionRecording,
+    recording: &Imu,
     sensor: &str,
     most: f64,
     unit: &str,
-    sense: impl Fn(&UnitSample) -> Option<[f64; 3]>,
+    sense: impl Fn(&Sample) -> Option<Vector3<f64>>,
 ) -> Option<(Vec<usize>, String)> {
-    let is_beyond = |k: &usize| sense(&recording.samples[*k]).is_some_and(|v| !is_within(&v, most));
+    let is_beyond =
+        |k: &usize| sense(&recording.samples.v[*k]).is_some_and(|v| !is_within(&v, most));
     let found: Vec<usize> = (0..recording.samples.len()).filter(is_beyond).collect();
     let said = format!(
         "the {sensor} gives more than its full scale, {most:.0} {unit}, in {}, first at {:.2} s",
         counted(found.len(), "sample"),
-        recording.times_s[*found.first()?]
+        recording.samples.t[*found.first()?].s()
     );
     Some((found, said))
 }
 
-fn no_number(recording: &MotionRecording, holes: &[bool]) -> String {
+fn no_number(recording: &Imu, holes: &[bool]) -> String {
     let axes = (0..3).filter(|i| {
-        let mut all = recording.samples.iter();
+        let mut all = recording.samples.v.iter();
         all.any(|sample| !sample.force_mps2[*i].is_finite())
     });
     let axes: Vec<&str> = axes.map(|i| ["X", "Y", "Z"][i]).collect();
@@ -146,7 +150,7 @@ fn no_number(recording: &MotionRecording, holes: &[bool]) -> String {
         axes.join(", "),
         holes.iter().filter(|hole| **hole).count(),
         holes.len(),
-        recording.times_s[first]
+        recording.samples.t[first].s()
     )
 }
 

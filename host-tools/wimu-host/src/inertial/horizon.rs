@@ -1,7 +1,11 @@
 //! How long a position can be used, and its rests.
 
+use super::unit::median_step_s;
 use super::{InertialPath, PathPoint};
-use crate::motion::gap_s;
+
+/// A longer pause between samples is a gap: in s, or in median steps.
+const LEAST_GAP_S: f64 = 0.25;
+const GAP_STEPS: f64 = 4.0;
 
 /// How long a position can be used.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -42,7 +46,7 @@ impl InertialPath {
         let at_s = known[end].time_s;
         // It is unknown whether it moved in a gap, or time jumped.
         let times_s: Vec<f64> = self.points.iter().map(|p| p.time_s).collect();
-        let gap_s = gap_s(&times_s);
+        let gap_s = f64::max(LEAST_GAP_S, GAP_STEPS * median_step_s(&times_s));
         let goes_on = |w: &&[PathPoint]| w[1].time_s - w[0].time_s <= gap_s;
         let moving = known[..=end].windows(2).filter(goes_on);
         let moving = moving.filter(|w| !w[1].resting);

@@ -5,9 +5,8 @@ use wimu_nav::navigator::{Profile, Sample};
 
 use super::aids::Aids;
 use super::segments::IMPROBABLE;
-use super::unit::{Unit, run, sample};
+use super::unit::{Unit, run};
 use super::{Choice, Method};
-use crate::motion::UnitSample;
 use crate::series::{Interp, Ns, Series};
 use crate::stats::median;
 
@@ -54,31 +53,29 @@ impl Unit<'_> {
     fn mean_square(&self, delay_s: f64, choice: &Choice) -> Option<(f64, usize)> {
         let end = self.times_s.partition_point(|t| *t < self.times_s[0] + SHOWN_S);
         let moved = self.advanced(delay_s, end);
-        let samples: Vec<Sample> = moved.iter().map(sample).collect();
-        let steps = self.steps(&samples, choice, Method::Strapdown);
-        let mut navigator = self.begin(&samples, &steps, choice).ok()?;
+        let unit = Unit { samples: &moved, times_s: &self.times_s[..end], ..*self };
+        let steps = unit.steps(choice, Method::Strapdown);
+        let mut navigator = unit.begin(&steps, choice).ok()?;
         run(&mut navigator, &[], None, &steps);
         navigator.segments.mean_square()
     }
 
     /// The first `count` samples with the angular rate that is measured `delay_s` later, between two samples linearly.
-    pub fn advanced(&self, delay_s: f64, count: usize) -> Vec<UnitSample> {
+    pub fn advanced(&self, delay_s: f64, count: usize) -> Vec<Sample> {
         let none = Vector3::repeat(f64::NAN);
         let rows = self.times_s.iter().zip(self.samples);
-        let rates: Series<Vector3<f64>> = Series::of(
-            rows.map(|(t, s)| (Ns::from_s(*t), s.rate_rad_s.map_or(none, Vector3::from))),
-        )
-        .with_gap(f64::INFINITY);
+        let rates: Series<Vector3<f64>> =
+            Series::of(rows.map(|(t, s)| (Ns::from_s(*t), s.rate_rad_s.unwrap_or(none))))
+                .with_gap(f64::INFINITY);
         let rate_at = |time_s: f64| {
             let [first, last] = rates.span()?;
             let at = rates.at(Ns::from_s(time_s).clamp(first, last), Interp::Linear)?;
-            Some(at.value.into())
+            Some(at.value)
         };
-        let moved =
-            self.samples[..count].iter().zip(self.times_s).map(|(sample, time_s)| UnitSample {
-                rate_rad_s: sample.rate_rad_s.map(|rate| rate_at(time_s + delay_s).unwrap_or(rate)),
-                ..*sample
-            });
+        let moved = self.samples[..count].iter().zip(self.times_s).map(|(sample, time_s)| Sample {
+            rate_rad_s: sample.rate_rad_s.map(|rate| rate_at(time_s + delay_s).unwrap_or(rate)),
+            ..*sample
+        });
         moved.collect()
     }
 }

@@ -10,11 +10,12 @@ use wimu_nav::state::{POSITION, VELOCITY};
 use super::aids::Aid;
 use super::navigator::{Carrier, Navigator, Step, counted_findings};
 use super::sense::{Senses, clipped};
-use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2, sample};
-use super::{AidUse, Choice, InertialPath, Method, PathPoint, Residual};
+use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2};
+use super::{AidUse, Choice, InertialPath, Method, PathPoint, Residual, other_clock};
+use crate::imu::{Imu, Sample};
 use crate::localization::AnchorStates;
-use crate::motion::{MotionRecording, UnitSample, other_clock};
 use crate::rests::RestLimits;
+use crate::series::Ns;
 use crate::{Code, Problem, Result};
 
 /// Samples before the first answer, s: what shows whether the sensors are calibrated, and the alignment.
@@ -39,21 +40,21 @@ const ANY_HEADING: f64 = 1.81;
 ///
 /// ```
 /// use wimu_host::inertial::{Choice, Live};
-/// use wimu_host::motion::{MotionRecording, UnitSample};
+/// use wimu_host::imu::{Imu, Sample};
 ///
-/// let mut live = Live::new(Choice::default(), MotionRecording::default(), 0.5);
+/// let mut live = Live::new(Choice::default(), Imu::default(), 0.5);
 /// for k in 0..500 {
-///     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
-///     live.push(f64::from(k) * 0.01, UnitSample { force_mps2, ..UnitSample::default() })?;
+///     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }].into();
+///     live.push(f64::from(k) * 0.01, Sample { force_mps2, ..Sample::default() })?;
 /// }
 /// let point = live.now().expect("an answer after three seconds");
-/// assert!(point.valid && point.time_s == 4.99 && point.position_m[2].abs() < 0.01);
+/// assert!(point.valid && (point.time_s - 4.99).abs() < 1e-9 && point.position_m[2].abs() < 0.01);
 /// # Ok::<(), wimu_host::Problem>(())
 /// ```
 pub struct Live {
     choice: Choice,
     /// The samples since a little before the horizon, and what is known of the sensors.
-    recording: MotionRecording,
+    recording: Imu,
     /// How late aids may arrive, s.
     delay_s: f64,
     /// Of the buffered samples, those before the horizon.
@@ -88,7 +89,7 @@ struct Begun {
 
 impl Live {
     /// Before the first sample. `of` has the full scale and the calibration of the sensors; aids may arrive `delay_s` late.
-    pub fn new(choice: Choice, of: MotionRecording, delay_s: f64) -> Self {
+    pub fn new(choice: Choice, of: Imu, delay_s: f64) -> Self {
         let window_s = match choice.profile {
             Profile::Foot => RestLimits::foot().window_s + AHEAD_S,
             profile => detector(profile).window_s,
@@ -113,23 +114,22 @@ impl Live {
     ///
     /// # Errors
     /// `data_refused`, three seconds after the first sample: these do not show gravity.
-    pub fn push(&mut self, time_s: f64, sample: UnitSample) -> Result<()> {
-        let mut values = sample.force_mps2.into_iter().chain([time_s]);
-        if !values.all(f64::is_finite) {
+    pub fn push(&mut self, time_s: f64, sample: Sample) -> Result<()> {
+        if !sample.force_mps2.iter().chain([&time_s]).all(|value| value.is_finite()) {
             self.not_finite += 1;
             return Ok(());
         }
-        let last_s = self.recording.times_s.last().copied().unwrap_or(time_s);
-        let sample = UnitSample { step_s: time_s - last_s, ..sample };
-        self.recording.times_s.push(time_s);
-        self.recording.samples.push(self.once.of(&sample));
-        let times_s = &self.recording.times_s;
+        let newest = Ns::from_s(time_s);
+        let last = self.newest().unwrap_or(newest);
+        let sample = self.once.of(&Sample { step_s: newest.since_s(last), ..sample });
+        self.recording.push(newest, sample);
+        let times = &self.recording.samples.t;
         if self.begun.is_none() {
-            if time_s - times_s[0] >= START_S {
+            if newest.since_s(times[0]) >= START_S {
                 self.begin()?;
             }
-        } else if time_s - times_s[self.taken.min(times_s.len() - 1)] >= self.delay_s + BLOCK_S {
-            self.advance(time_s - self.delay_s);
+        } else if newest.since_s(times[self.taken.min(times.len() - 1)]) >= self.delay_s + BLOCK_S {
+            self.advance(newest.after_s(-self.delay_s));
         }
         Ok(())
     }
@@ -137,8 +137,8 @@ impl Live {
     /// A measurement of another system. A fix of the horizontal position, or ranges of a second, move the path to their frame.
     pub fn aid(&mut self, aid: Aid) {
         // Before the filter begins the horizon is at the first sample.
-        let horizon_s = self.recording.times_s.get(self.taken);
-        if horizon_s.is_some_and(|horizon_s| aid.time_s < *horizon_s) {
+        let horizon = self.recording.samples.t.get(self.taken);
+        if horizon.is_some_and(|horizon| aid.time_s < horizon.s()) {
             self.is_late(&aid);
             return;
         }
@@ -214,7 +214,11 @@ impl Live {
 
     /// Time of the newest sample, s.
     pub fn newest_s(&self) -> Option<f64> {
-        self.recording.times_s.last().copied()
+        self.newest().map(Ns::s)
+    }
+
+    fn newest(&self) -> Option<Ns> {
+        self.recording.samples.t.last().copied()
     }
 
     /// What was noticed up to now.
@@ -252,27 +256,26 @@ impl Live {
     }
 
     fn begin(&mut self) -> Result<()> {
-        let begun_s = self.recording.times_s[0];
+        let begun_s = self.recording.samples.t[0].s();
         let before = self.choice.aids.aids.partition_point(|aid| aid.time_s < begun_s);
         let early: Vec<Aid> = self.choice.aids.aids.drain(..before).collect();
         early.iter().for_each(|aid| self.is_late(aid));
         let (recording, choice) = (&self.recording, &self.choice);
         let senses = Senses::of(recording)?;
-        let method = Method::of(&recording.samples);
+        let (times_s, samples) = (&recording.times_s(), &recording.samples.v);
+        let method = Method::of(samples);
         self.findings = senses.findings.clone();
-        if recording.samples.iter().all(|s| s.field_ut.is_none()) {
+        if samples.iter().all(|s| s.field_ut.is_none()) {
             let text = format!(
                 "{}: heading is that of the body at the start, until fixes show it",
                 recording.without_field()
             );
             self.findings.push(Code::Navigation.note(text));
         }
-        let noise_mps2 = noise_mps2(&recording.times_s, &recording.samples);
-        let unit = Unit::of(recording, &recording.samples, &senses, &senses.clipped, noise_mps2);
+        let noise_mps2 = noise_mps2(times_s, samples);
+        let unit = Unit::of(recording, times_s, samples, &senses, &senses.clipped, noise_mps2);
         unit.accepts(choice, method)?;
-        let samples: Vec<_> = recording.samples.iter().map(sample).collect();
-        let steps = unit.steps(&samples, choice, method);
-        let mut start = unit.begin(&samples, &steps, choice)?;
+        let mut start = unit.begin(&unit.steps(choice, method), choice)?;
         let ranging = choice.aids.ranging.as_ref();
         let anchors = ranging.map(|ranging| ranging.claim(&mut start.core));
         let gravity_mps2 = unit.gravity_mps2;
@@ -295,23 +298,22 @@ impl Live {
 
     /// The buffered samples as steps.
     fn steps(&self, begun: &Begun) -> Vec<Step> {
-        let samples: Vec<_> = self.recording.samples.iter().map(sample).collect();
-        let all = &self.recording.samples;
-        let (senses, clipped) = (&begun.senses, clipped(all));
-        let unit = Unit::of(&self.recording, all, senses, &clipped, begun.noise_mps2);
+        let (times_s, samples) = (self.recording.times_s(), &self.recording.samples.v);
+        let (senses, clipped) = (&begun.senses, clipped(samples));
+        let unit = Unit::of(&self.recording, &times_s, samples, senses, &clipped, begun.noise_mps2);
         // What is buffered now may have no rest.
         let unit = Unit { gravity_mps2: begun.gravity_mps2, ..unit };
-        unit.steps(&samples, &self.choice, begun.method)
+        unit.steps(&self.choice, begun.method)
     }
 
-    /// Moves the horizon up to a time, s.
-    fn advance(&mut self, until_s: f64) {
+    /// Moves the horizon up to a time.
+    fn advance(&mut self, until: Ns) {
         let Some(mut begun) = self.begun.take() else {
             return;
         };
         let steps = self.steps(&begun);
-        let times_s = &self.recording.times_s;
-        let end = times_s.partition_point(|t| *t <= until_s).max(self.taken);
+        let samples = &mut self.recording.samples;
+        let end = samples.t.partition_point(|t| *t <= until).max(self.taken);
         let block = &steps[self.taken..end];
         let is_clipped = |step: &&Step| matches!(step.carrier, Carrier::Unmeasured);
         self.clipped += block.iter().filter(is_clipped).count();
@@ -324,12 +326,10 @@ impl Live {
         let old = self.fixes.len().saturating_sub(KEPT_FIXES);
         self.fixes.drain(..old);
         self.begun = Some(begun);
-        let old = times_s.partition_point(|t| *t < until_s - KEPT_S).min(end);
-        self.recording.times_s.drain(..old);
-        self.recording.samples.drain(..old);
-        self.taken = end - old;
+        let kept = until.after_s(-KEPT_S);
+        self.taken = end - samples.forget_before(kept, samples.len() - end);
         let aids = &mut self.choice.aids.aids;
-        let used = aids.partition_point(|aid| aid.time_s < until_s - KEPT_S);
+        let used = aids.partition_point(|aid| aid.time_s < kept.s());
         aids.drain(..used);
     }
 }

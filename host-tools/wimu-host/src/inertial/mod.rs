@@ -2,15 +2,14 @@
 //!
 //! ```
 //! use wimu_host::inertial::{Choice, navigate};
-//! use wimu_host::motion::{MotionRecording, UnitSample};
+//! use wimu_host::imu::{Imu, Sample};
+//! use wimu_host::series::Ns;
 //!
 //! // Two seconds at rest.
-//! let mut recording = MotionRecording::default();
+//! let mut recording = Imu::default();
 //! for k in 0..200 {
-//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }];
-//!     recording.times_s.push(f64::from(k) * 0.01);
-//!     recording.samples.push(UnitSample { step_s: 0.01, force_mps2, ..UnitSample::default() });
-//!     recording.truth.push(None);
+//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }].into();
+//!     recording.push(Ns(k * 10_000_000), Sample { force_mps2, ..Sample::default() });
 //! }
 //! let path = navigate(&recording, &Choice::default())?;
 //! assert!(path.distance_m() < 0.01 && path.points[199].valid);
@@ -21,6 +20,8 @@
 mod aid_link;
 pub mod aids;
 mod array;
+mod arrival;
+mod clocks;
 mod frozen;
 mod holes;
 mod horizon;
@@ -46,22 +47,25 @@ use std::ops::RangeInclusive;
 pub use aid_link::{AidLink, LeastDelay};
 pub use aids::{Aid, Aids};
 pub use array::navigate_array;
-pub(crate) use holes::Holes;
+pub use arrival::sampled_times;
+pub(crate) use clocks::{one_clock, other_clock};
+pub(crate) use holes::{FULL_SCALE_MPS2, Holes};
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;
 pub(crate) use navigator::{Carrier, Navigator, Step};
 pub use path::{InertialPath, PathPoint, Residual, StateFound};
 pub use summary::{AngularRate, Figures, Horizons};
-pub use truth::{Nees, consistency};
-pub(crate) use unit::{run, sample};
+pub use truth::{Nees, consistency, nees};
+pub(crate) use unit::{median_step_s, run};
 pub use uses::AidUse;
 pub use wimu_nav::navigator::Profile;
 
 use wimu_nav::navigator::Rests;
 
-use crate::motion::{MotionRecording, TIME_SD_S, UnitSample, sampled_times};
+use crate::imu::{Imu, Sample};
 use crate::{Code, Result};
+use arrival::TIME_SD_S;
 use truth::{compare, moving};
 use unit::{OnceEachField, Unit, noise_mps2};
 
@@ -85,7 +89,7 @@ pub enum Method {
 
 impl Method {
     /// Method for the samples of one unit.
-    fn of(samples: &[UnitSample]) -> Self {
+    fn of(samples: &[Sample]) -> Self {
         match samples.iter().any(|sample| sample.rate_rad_s.is_some()) {
             true => Self::Strapdown,
             false => Self::Tilt,
@@ -184,12 +188,12 @@ impl Default for Choice {
 /// # Errors
 /// `data_refused`: nothing to align with, accelerations that do not show gravity, or are no numbers or beyond the full
 /// scale for the most part, a unit of the angular rate that cannot be, no valid position.
-pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
+pub fn navigate(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
     let mut path = match Holes::of(recording)? {
         None => followed(recording, choice)?,
         Some(holes) => {
             let mut path = followed(&holes.left_out_of(recording), choice)?;
-            holes.fill(&mut path, &recording.times_s);
+            holes.fill(&mut path, &recording.times_s());
             path.findings.splice(0..0, holes.findings);
             path
         }
@@ -198,9 +202,10 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
     let remedy = choice.aids.remedy(choice.limit_m);
     let remedy = remedy.as_deref().unwrap_or(REMEDY);
     let mut path = path.checked(&recording.name, remedy)?;
-    let column = recording.moving.as_deref();
-    let moving = moving(&recording.times_s, column, &recording.truth, &[]);
-    compare(&mut path, &recording.truth, &moving);
+    let times = &recording.samples.t;
+    let (truth, column) = (recording.reference.on(times), recording.reference.moving_on(times));
+    let moving = moving(&recording.times_s(), column.as_deref(), &truth, &[]);
+    compare(&mut path, &truth, &moving);
     path.source.clone_from(&recording.name);
     Ok(path.assumed(choice))
 }
@@ -209,9 +214,9 @@ pub fn navigate(recording: &MotionRecording, choice: &Choice) -> Result<Inertial
 const REMEDY: &str = "give a larger `limit_m` (--setup), or hold the unit still for a second first, and see that its times go on";
 
 /// The path of a recording of which every sample is a number.
-fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath> {
+fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
     let senses = sense::Senses::of(recording)?;
-    let mut samples = recording.samples.clone();
+    let (recorded_s, mut samples) = (recording.times_s(), recording.samples.v.clone());
     if let Some(from) = senses.field_ends {
         samples[from..].iter_mut().for_each(|s| s.field_ut = None);
     }
@@ -226,7 +231,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
     }
     let mut findings = senses.findings.clone();
     let mut time_sd_s = 0.0;
-    if let Some(times_s) = sampled_times(&recording.times_s) {
+    if let Some(times_s) = sampled_times(&recorded_s) {
         retime(&mut samples, &times_s);
         time_sd_s = TIME_SD_S;
         findings.push(Code::Clock.note(
@@ -234,10 +239,10 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
         ));
     }
     let mut once = OnceEachField::default();
-    let samples: Vec<UnitSample> = samples.iter().map(|sample| once.of(sample)).collect();
-    let noise_mps2 = noise_mps2(&recording.times_s, &samples);
-    let unit =
-        Unit { time_sd_s, ..Unit::of(recording, &samples, &senses, &senses.clipped, noise_mps2) };
+    let samples: Vec<Sample> = samples.iter().map(|sample| once.of(sample)).collect();
+    let noise_mps2 = noise_mps2(&recorded_s, &samples);
+    let unit = Unit::of(recording, &recorded_s, &samples, &senses, &senses.clipped, noise_mps2);
+    let unit = Unit { time_sd_s, ..unit };
     let method = Method::of(&samples);
     let delay_s = (method == Method::Strapdown).then(|| unit.rate_delay_s(choice)).flatten();
     let moved = delay_s.map(|delay_s| unit.advanced(delay_s, samples.len()));
@@ -268,7 +273,7 @@ fn followed(recording: &MotionRecording, choice: &Choice) -> Result<InertialPath
 }
 
 /// Gives the samples the steps between other times.
-fn retime(samples: &mut [UnitSample], times_s: &[f64]) {
+fn retime(samples: &mut [Sample], times_s: &[f64]) {
     for (sample, pair) in samples.iter_mut().skip(1).zip(times_s.windows(2)) {
         sample.step_s = pair[1] - pair[0];
     }

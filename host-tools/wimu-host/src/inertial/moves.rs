@@ -93,13 +93,7 @@ fn length(displacement: &Vector3<f64>, covariance: &Matrix3<f64>) -> (f64, f64) 
 }
 
 /// The moves of a unit: none if rests are not used.
-pub(super) fn moves(
-    unit: &Unit,
-    samples: &[Sample],
-    rests: &[bool],
-    choice: &Choice,
-    method: Method,
-) -> Vec<Move> {
+pub(super) fn moves(unit: &Unit, rests: &[bool], choice: &Choice, method: Method) -> Vec<Move> {
     let rests = long_rests(unit.times_s, rests);
     let mut found = Vec::new();
     if choice.zupt == Zupt::Off {
@@ -107,7 +101,7 @@ pub(super) fn moves(
     }
     let mut at = 0;
     while at + 1 < rests.len() {
-        let Some((end, one)) = one_move(unit, samples, &rests, at, choice, method) else {
+        let Some((end, one)) = one_move(unit, &rests, at, choice, method) else {
             at += 1;
             continue;
         };
@@ -127,13 +121,12 @@ fn long_rests(times_s: &[f64], rests: &[bool]) -> Vec<Range<usize>> {
 /// accepts, or that is certain.
 fn one_move(
     unit: &Unit,
-    samples: &[Sample],
     rests: &[Range<usize>],
     at: usize,
     choice: &Choice,
     method: Method,
 ) -> Option<(usize, Move)> {
-    let gyroscope = method == Method::Strapdown;
+    let (gyroscope, samples) = (method == Method::Strapdown, unit.samples);
     let profile = if gyroscope { choice.profile } else { Profile::Slide };
     let first = rests[at].clone();
     let begin = unit.times_s[first.end - 1] - ALIGNMENT_S;

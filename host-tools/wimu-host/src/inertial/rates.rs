@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use nalgebra::{Rotation3, Vector3};
 
-use crate::motion::{MotionRecording, UnitSample};
+use crate::imu::{Imu, Sample};
 use crate::rests::{self, RestLimits};
 use crate::{Code, Problem, Result};
 
@@ -32,9 +32,9 @@ pub(super) struct Disagreement {
 ///
 /// # Errors
 /// `data_refused` where another unit fits, or the rate is faster than anything.
-pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement>> {
-    let rates = recording.samples.iter().filter_map(|s| s.rate_rad_s);
-    let fastest = rates.map(|rate| Vector3::from(rate).norm()).fold(0.0, f64::max);
+pub(super) fn checked(recording: &Imu) -> Result<Option<Disagreement>> {
+    let rates = recording.samples.v.iter().filter_map(|s| s.rate_rad_s);
+    let fastest = rates.map(|rate| rate.norm()).fold(0.0, f64::max);
     let refused = |message: String, unit: &str| {
         let remedy = format!("if it is in {unit}, name the columns `Gyroscope X ({unit})`, …");
         Err(Code::DataRefused.error(message, remedy).at(&recording.name))
@@ -87,23 +87,21 @@ pub(super) fn checked(recording: &MotionRecording) -> Result<Option<Disagreement
 }
 
 /// Rests of a recording whose angular rate, times a factor, is right.
-fn rests(recording: &MotionRecording, factor: f64) -> Vec<Range<usize>> {
+fn rests(recording: &Imu, factor: f64) -> Vec<Range<usize>> {
     let mut limits = RestLimits::default();
     limits.gravity_mps2 = recording.gravity_mps2();
-    let samples = recording.samples.iter().map(|sample| {
-        let rate = sample.rate_rad_s.map(|rate| factor * Vector3::from(rate));
-        (sample.force_mps2.into(), rate, sample.step_s)
-    });
+    let samples = recording.samples.v.iter();
+    let samples = samples.map(|s| (s.force_mps2, s.rate_rad_s.map(|rate| factor * rate), s.step_s));
     let mut found = rests::rests(samples, limits);
-    let times = &recording.times_s;
+    let times = recording.times_s();
     found.retain(|rest| times[rest.end - 1] - times[rest.start] >= REST_S);
     found
 }
 
 /// Root mean square of the angle, rad, between gravity at a rest and gravity of the rest before rotated by the rate times
 /// `factor`; `None` without two rests with a rate between.
-fn open_rad(recording: &MotionRecording, rests: &[Range<usize>], factor: f64) -> Option<f64> {
-    let (times, samples) = (&recording.times_s, &recording.samples);
+fn open_rad(recording: &Imu, rests: &[Range<usize>], factor: f64) -> Option<f64> {
+    let (times, samples) = (recording.times_s(), &recording.samples.v);
     let mut squares = Vec::new();
     for pair in rests.windows(2) {
         let (before, after) = (pair[0].clone(), pair[1].clone());
@@ -119,7 +117,7 @@ fn open_rad(recording: &MotionRecording, rests: &[Range<usize>], factor: f64) ->
         };
         let mut attitude = Rotation3::identity();
         for sample in &samples[before.end..after.start] {
-            let rate = sample.rate_rad_s.map_or(bias, Vector3::from) - bias;
+            let rate = sample.rate_rad_s.unwrap_or(bias) - bias;
             attitude *= Rotation3::new(rate * (factor * sample.step_s));
         }
         squares.push((attitude.inverse() * first).angle(&last).powi(2));
@@ -129,10 +127,10 @@ fn open_rad(recording: &MotionRecording, rests: &[Range<usize>], factor: f64) ->
 }
 
 fn mean(
-    samples: &[UnitSample],
-    value: impl Fn(&UnitSample) -> Option<[f64; 3]>,
+    samples: &[Sample],
+    value: impl Fn(&Sample) -> Option<Vector3<f64>>,
 ) -> Option<Vector3<f64>> {
-    let values: Vec<Vector3<f64>> = samples.iter().filter_map(value).map(Vector3::from).collect();
+    let values: Vec<Vector3<f64>> = samples.iter().filter_map(value).collect();
     let count = values.len() as f64;
     (count > 0.0).then(|| values.iter().sum::<Vector3<f64>>() / count)
 }

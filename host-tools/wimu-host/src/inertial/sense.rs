@@ -2,10 +2,13 @@
 
 use std::ops::Range;
 
+use nalgebra::Vector3;
+
+use super::unit::median_step_s;
 use crate::digits::significant;
-use crate::motion::{MotionRecording, Second, UnitSample, median_step_s};
+use crate::imu::{Imu, Sample};
 use crate::plural::counted;
-use crate::stats::{median, norm};
+use crate::stats::median;
 use crate::{Code, Problem, Result};
 
 /// What a rest shows is gravity within this share.
@@ -48,7 +51,7 @@ const HELD_S: f64 = 3.0;
 const NOISY_STEPS: f64 = 2.0;
 
 /// What a sensor gives in a sample.
-type Sense = fn(&UnitSample) -> Option<[f64; 3]>;
+type Sense = fn(&Sample) -> Option<Vector3<f64>>;
 
 /// What was found.
 #[derive(Clone, Debug, Default)]
@@ -73,7 +76,7 @@ impl Senses {
     ///
     /// # Errors
     /// `data_refused` where what it shows at rest is not gravity.
-    pub fn of(recording: &MotionRecording) -> Result<Self> {
+    pub fn of(recording: &Imu) -> Result<Self> {
         steps(recording)?;
         let rest = gravity(recording)?;
         let standard = wimu_model::STANDARD_GRAVITY_MPS2;
@@ -87,24 +90,28 @@ impl Senses {
             && (rest / standard - 1.0).abs() > CALIBRATED
         {
             senses.uncalibrated = true;
-            senses.findings.push(Code::Uncalibrated.warning(format!(
-                "at rest it shows {rest:.2} m/s², {:+.1} % from gravity: run `wimu calibrate FILE -o CAL.json`, then add --with CAL.json",
-                100.0 * (rest / standard - 1.0)
-            )));
+            let remedy = if recording.covariance.is_some() {
+                "the calibration does not fit: give that of this sensor, or calibrate it again"
+            } else {
+                "run `wimu calibrate FILE -o CAL.json`, then add --with CAL.json"
+            };
+            let percent = 100.0 * (rest / standard - 1.0);
+            let text = format!("at rest it shows {rest:.2} m/s², {percent:+.1} % from gravity");
+            senses.findings.push(Code::Uncalibrated.warning(text).remedy(remedy));
         }
         let face_down = face_down(recording).map(|text| Code::Axes.warning(text));
         senses.findings.extend(face_down);
-        senses.clipped = clipped(&recording.samples);
+        senses.clipped = clipped(&recording.samples.v);
         if let Some(first) = senses.clipped.first() {
             senses.findings.push(Code::Saturated.warning(format!(
                 "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
                  known; take a larger range",
                 counted(senses.clipped.len(), "sample"),
-                recording.times_s[*first]
+                recording.samples.t[*first].s()
             )));
         }
-        let force = |k: usize| Some(recording.samples[k].force_mps2);
-        let rate = |k: usize| recording.samples[k].rate_rad_s;
+        let force = |k: usize| Some(recording.samples.v[k].force_mps2);
+        let rate = |k: usize| recording.samples.v[k].rate_rad_s;
         if let Some((from, axis)) = stuck(recording, force, MOVES_MPS2) {
             senses.say(
                 recording,
@@ -124,7 +131,7 @@ impl Senses {
             senses.findings.push(Code::Frozen.warning(format!(
                 "the magnetometer gives one and the same value from {:.2} s on while gravity turns: it is left out from \
                  there on",
-                recording.times_s[from]
+                recording.samples.t[from].s()
             )));
             senses.field_ends = Some(from);
         }
@@ -132,15 +139,15 @@ impl Senses {
             senses.findings.push(Code::Frozen.warning(format!(
                 "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
                  turns: it is left out from there on",
-                recording.times_s[from]
+                recording.samples.t[from].s()
             )));
             senses.rate_ends = Some(senses.rate_ends.map_or(from, |before| before.min(from)));
         }
         Ok(senses)
     }
 
-    fn say(&mut self, of: &MotionRecording, sensor: &str, from: usize, axis: usize, so: &str) {
-        let (axis, at) = (["X", "Y", "Z"][axis], of.times_s[from]);
+    fn say(&mut self, of: &Imu, sensor: &str, from: usize, axis: usize, so: &str) {
+        let (axis, at) = (["X", "Y", "Z"][axis], of.samples.t[from].s());
         self.findings.push(Code::Frozen.warning(format!(
             "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
         )));
@@ -148,9 +155,9 @@ impl Senses {
 }
 
 /// Whether times go on as those of samples do.
-fn steps(recording: &MotionRecording) -> Result<()> {
-    let step_s = median_step_s(&recording.times_s);
-    if recording.times_s.len() < 3 || STEPS_S.contains(&step_s) || step_s <= 0.0 {
+fn steps(recording: &Imu) -> Result<()> {
+    let step_s = median_step_s(&recording.times_s());
+    if recording.samples.len() < 3 || STEPS_S.contains(&step_s) || step_s <= 0.0 {
         return Ok(());
     }
     // The unit that was named is not known here: what was read as seconds may be any other.
@@ -176,19 +183,15 @@ fn steps(recording: &MotionRecording) -> Result<()> {
 
 /// What to say where z points down at the start: an accelerometer that gives gravity instead of specific force shows
 /// the same lying face up.
-fn face_down(recording: &MotionRecording) -> Option<String> {
-    let end = recording.times_s.first()? + 1.0;
-    let second = &recording.samples[..recording.times_s.partition_point(|t| *t < end)];
-    let sum = |vector: &dyn Fn(&UnitSample) -> Option<[f64; 3]>| {
-        let all = second.iter().filter_map(vector);
-        all.fold([0.0; 3], |sum, v| std::array::from_fn(|i| sum[i] + v[i]))
-    };
-    let (force, field) = (sum(&|s| Some(s.force_mps2)), sum(&|s| s.field_ut));
-    if force[2] > FACE_DOWN * norm(force) {
+fn face_down(recording: &Imu) -> Option<String> {
+    let end = recording.samples.t.first()?.after_s(1.0);
+    let second = &recording.samples.v[..recording.samples.t.partition_point(|t| *t < end)];
+    let force: Vector3<f64> = second.iter().map(|s| s.force_mps2).sum();
+    let field: Vector3<f64> = second.iter().filter_map(|s| s.field_ut).sum();
+    if force[2] > FACE_DOWN * force.norm() {
         return None;
     }
-    let along = force.iter().zip(field).map(|(f, b)| f * b).sum::<f64>();
-    let along = along / (norm(force) * norm(field));
+    let along = force.dot(&field) / (force.norm() * field.norm());
     let shown = if along > DIPS {
         "; the magnetic field points up then, as it does south of the equator only"
     } else if along < -DIPS {
@@ -203,7 +206,7 @@ fn face_down(recording: &MotionRecording) -> Option<String> {
 }
 
 /// Samples at an axis's full scale, where it comes there more than once.
-pub(super) fn clipped(samples: &[UnitSample]) -> Vec<usize> {
+pub(super) fn clipped(samples: &[Sample]) -> Vec<usize> {
     let mut found = Vec::new();
     for axis in 0..3 {
         for sign in [-1.0, 1.0] {
@@ -225,13 +228,12 @@ pub(super) fn clipped(samples: &[UnitSample]) -> Vec<usize> {
 }
 
 /// |f| in the first quiet second in which it may be gravity, m/s²; `None` without such a second.
-fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
+fn gravity(recording: &Imu) -> Result<Option<f64>> {
     let standard = wimu_model::STANDARD_GRAVITY_MPS2;
-    let Some(median) = median(recording.samples.iter().map(|s| norm(s.force_mps2))) else {
+    let Some(median) = median(recording.samples.v.iter().map(|s| s.force_mps2.norm())) else {
         return Ok(None);
     };
-    let quiet = recording.seconds().filter(Second::is_quiet);
-    let quiet: Vec<f64> = quiet.map(|second| second.mean_mps2).collect();
+    let still: Vec<f64> = recording.still_seconds().into_iter().map(|(_, mean)| mean).collect();
     let refused = |seen: f64| {
         let remedy = if (seen - 1.0).abs() < NEAR {
             "1 at rest is g: name the columns `Accelerometer X (g)`, …"
@@ -249,7 +251,7 @@ fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
     if !(standard / FAR..standard * FAR).contains(&median) {
         return refused(median);
     }
-    match (quiet.iter().find(|seen| near(seen)), quiet.first()) {
+    match (still.iter().find(|seen| near(seen)), still.first()) {
         (None, Some(first)) => refused(*first),
         (found, _) => Ok(found.copied()),
     }
@@ -257,20 +259,15 @@ fn gravity(recording: &MotionRecording) -> Result<Option<f64>> {
 
 /// The sample from which on all axes of a sensor stand still for so long, s, and more while one of the others shows that
 /// the unit turns.
-fn silent(
-    recording: &MotionRecording,
-    sense: Sense,
-    longer_s: f64,
-    others: &[Sense],
-) -> Option<usize> {
-    let samples = &recording.samples;
+fn silent(recording: &Imu, sense: Sense, longer_s: f64, others: &[Sense]) -> Option<usize> {
+    let (times_s, samples) = (&recording.times_s(), &recording.samples.v);
     let mut first = 0;
     while let Some(next) = samples[first..].iter().position(|s| sense(s).is_some()) {
         first += next;
         let here = sense(&samples[first]);
         let alike = samples[first..].iter();
         let count = alike.take_while(|s| sense(s).is_none() || sense(s) == here).count();
-        let times_s = &recording.times_s[first..first + count];
+        let times_s = &times_s[first..first + count];
         let run = &samples[first..first + count];
         if times_s[count - 1] - times_s[0] >= longer_s
             && count >= STUCK_SAMPLES
@@ -286,27 +283,21 @@ fn silent(
 /// Whether the mean of a second is turned against that of the first, and as large.
 fn is_turned(
     times_s: &[f64],
-    samples: &[UnitSample],
-    vector: impl Fn(&UnitSample) -> Option<[f64; 3]>,
+    samples: &[Sample],
+    vector: impl Fn(&Sample) -> Option<Vector3<f64>>,
 ) -> bool {
-    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let (mut first, mut from) = (None, 0);
     while from < samples.len() {
         let to = times_s.partition_point(|t| *t < times_s[from] + 1.0).max(from + 1);
-        let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for vector in samples[from..to].iter().filter_map(&vector) {
-            sum = [0, 1, 2].map(|axis| sum[axis] + vector[axis]);
-            count += 1.0;
-        }
+        let vectors: Vec<Vector3<f64>> = samples[from..to].iter().filter_map(&vector).collect();
         from = to;
-        if count == 0.0 {
+        if vectors.is_empty() {
             continue;
         }
-        let mean = sum.map(|sum| sum / count);
-        let before = *first.get_or_insert(mean);
-        let sizes = [before, mean].map(|vector| dot(vector, vector).sqrt());
-        let is_as_large = (sizes[1] / sizes[0] - 1.0).abs() < AS_LARGE;
-        if is_as_large && dot(before, mean) < TURNED_RAD.cos() * sizes[0] * sizes[1] {
+        let mean = vectors.iter().sum::<Vector3<f64>>() / vectors.len() as f64;
+        let before: Vector3<f64> = *first.get_or_insert(mean);
+        let is_as_large = (mean.norm() / before.norm() - 1.0).abs() < AS_LARGE;
+        if is_as_large && before.angle(&mean) > TURNED_RAD {
             return true;
         }
     }
@@ -315,8 +306,8 @@ fn is_turned(
 
 /// The sample and axis at which one stands still to the end of a long run while others change.
 fn stuck(
-    recording: &MotionRecording,
-    value: impl Fn(usize) -> Option<[f64; 3]>,
+    recording: &Imu,
+    value: impl Fn(usize) -> Option<Vector3<f64>>,
     moves: f64,
 ) -> Option<(usize, usize)> {
     let count = recording.samples.len();
@@ -341,7 +332,7 @@ fn stuck(
                 }
                 end += 1;
             }
-            let lasts = recording.times_s[end - 1] - recording.times_s[first] >= STUCK_S
+            let lasts = recording.samples.t[end - 1].since_s(recording.samples.t[first]) >= STUCK_S
                 && end - first >= STUCK_SAMPLES;
             if lasts
                 && (0..3).any(|i| high[i] - low[i] > moves)
@@ -359,7 +350,7 @@ fn stuck(
 }
 
 /// The least change of an axis from sample to sample; infinite where it never moves.
-fn least_step(count: usize, value: impl Fn(usize) -> Option<[f64; 3]>, axis: usize) -> f64 {
+fn least_step(count: usize, value: impl Fn(usize) -> Option<Vector3<f64>>, axis: usize) -> f64 {
     let change = |k: usize| Some((value(k)?[axis] - value(k - 1)?[axis]).abs());
     let changes = (1..count).filter_map(change);
     changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min)
@@ -368,7 +359,7 @@ fn least_step(count: usize, value: impl Fn(usize) -> Option<[f64; 3]>, axis: usi
 /// Whether the noise of both other axes, as second differences have it, would move this one by steps: an axis of coarse
 /// steps repeats itself at rest, and where it is not moved.
 fn would_show(
-    value: impl Fn(usize) -> Option<[f64; 3]>,
+    value: impl Fn(usize) -> Option<Vector3<f64>>,
     run: Range<usize>,
     axis: usize,
     step: f64,

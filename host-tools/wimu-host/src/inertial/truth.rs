@@ -1,9 +1,10 @@
 //! A path against the true one.
 
+use nalgebra::{Matrix3, Vector3};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::{InertialPath, PathPoint};
-use crate::motion::{Truth, heading_rad, nees};
+use crate::imu::Truth;
 use crate::stats::median;
 
 /// Normalised estimation errors squared, as JSON their median and their share below 7.81; null of none.
@@ -35,6 +36,18 @@ pub fn consistency(nees: &[f64]) -> Option<(f64, f64)> {
     let below = nees.iter().filter(|n| **n < 7.81).count();
     let median = median(nees.iter().copied())?;
     Some((median, below as f64 / nees.len() as f64))
+}
+
+/// Heading of the rotation from body to navigation axes: angle of body x from east towards north, rad.
+pub(super) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
+    (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
+}
+
+/// eᵀ P⁻¹ e of an error with covariance P; infinite where P is not positive definite.
+pub fn nees(error: [f64; 3], covariance: [[f64; 3]; 3]) -> f64 {
+    let error = Vector3::from(error);
+    let factor = Matrix3::from(covariance).cholesky();
+    factor.map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
 }
 
 /// The truth is right to this, m.
@@ -90,7 +103,7 @@ pub(super) fn compare(path: &mut InertialPath, truth: &[Option<Truth>], moving: 
         let real: [f64; 3] = std::array::from_fn(|i| truth.position_m[i] - start.position_m[i]);
         (found, real)
     };
-    let by = start.heading_rad() - heading_rad(first.quaternion);
+    let by = heading_rad(start.quaternion) - heading_rad(first.quaternion);
     let fitted = !by.is_finite();
     let (sin, cos) = if fitted {
         let (mut sine, mut cosine) = (0.0, 0.0);

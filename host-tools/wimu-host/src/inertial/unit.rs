@@ -15,10 +15,10 @@ use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings}
 use super::sense::Senses;
 use super::steps::steps;
 use super::{Choice, InertialPath, Method};
-use crate::motion::{MotionRecording, UnitSample, median_step_s};
+use crate::imu::Imu;
 use crate::plural::counted;
 use crate::rests::{RestDetector, RestLimits};
-use crate::stats::quantile;
+use crate::stats::{median, quantile};
 use crate::{Code, Problem, Result};
 
 /// A reading of the magnetometer that is repeated within this time is a held one, s.
@@ -33,20 +33,20 @@ const HEADING_TRIAL_S: f64 = 120.0;
 /// The samples, each reading of a magnetometer that is slower than the accelerometer once.
 #[derive(Default)]
 pub(super) struct OnceEachField {
-    last: Option<[f64; 3]>,
+    last: Option<Vector3<f64>>,
     age_s: f64,
 }
 
 impl OnceEachField {
     /// The next sample.
-    pub fn of(&mut self, sample: &UnitSample) -> UnitSample {
+    pub fn of(&mut self, sample: &Sample) -> Sample {
         self.age_s += sample.step_s;
         let held =
             sample.field_ut.is_none() || (sample.field_ut == self.last && self.age_s < HELD_S);
         if !held {
             (self.last, self.age_s) = (sample.field_ut, 0.0);
         }
-        UnitSample { field_ut: sample.field_ut.filter(|_| !held), ..*sample }
+        Sample { field_ut: sample.field_ut.filter(|_| !held), ..*sample }
     }
 }
 
@@ -58,7 +58,7 @@ const UNCALIBRATED: [f64; 2] = [0.03, 0.02];
 pub(super) struct Unit<'a> {
     pub name: &'a str,
     pub times_s: &'a [f64],
-    pub samples: &'a [UnitSample],
+    pub samples: &'a [Sample],
     /// Samples at which the accelerometer clips.
     pub clipped: &'a [usize],
     pub gravity_mps2: f64,
@@ -77,15 +77,16 @@ pub(super) struct Unit<'a> {
 impl<'a> Unit<'a> {
     /// Samples of a recording whose times are exact.
     pub fn of(
-        recording: &'a MotionRecording,
-        samples: &'a [UnitSample],
+        recording: &'a Imu,
+        times_s: &'a [f64],
+        samples: &'a [Sample],
         senses: &Senses,
         clipped: &'a [usize],
         noise_mps2: f64,
     ) -> Self {
         Self {
             name: &recording.name,
-            times_s: &recording.times_s,
+            times_s,
             samples,
             clipped,
             gravity_mps2: recording.gravity_mps2(),
@@ -103,13 +104,12 @@ impl<'a> Unit<'a> {
     /// `data_refused`: nothing to align with, or a foot without a gyroscope.
     pub fn path(&self, choice: &Choice, method: Method) -> Result<InertialPath> {
         self.accepts(choice, method)?;
-        let samples: Vec<Sample> = self.samples.iter().map(sample).collect();
-        let steps = self.steps(&samples, choice, method);
+        let steps = self.steps(choice, method);
         let rests = rests_of(&steps);
-        let mut moves = moves(self, &samples, &rests, choice, method);
+        let mut moves = moves(self, &rests, choice, method);
         choice.aids.within(self.times_s).map_err(|error| error.at(self.name))?;
         let at_rest_first = self.first_rest(&rests).is_some();
-        let mut navigator = self.placed(&self.start(&samples, &rests, choice)?, &steps, choice);
+        let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
         let has_origin = navigator.has_origin();
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
         let smooth = choice.smooth && method == Method::Strapdown;
@@ -133,7 +133,7 @@ impl<'a> Unit<'a> {
         let clipped = [(self.clipped.len(), "not used: σ grows there")];
         findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
         if choice.profile == Profile::Hand && method == Method::Strapdown {
-            findings.extend(self.foot(&samples));
+            findings.extend(self.foot());
         }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
         if !has_origin && path.points[from..].iter().all(|point| point.resting) {
@@ -176,9 +176,9 @@ impl<'a> Unit<'a> {
     }
 
     /// A navigator of a stream, at its first sample.
-    pub fn begin(&self, samples: &[Sample], steps: &[Step], choice: &Choice) -> Result<Navigator> {
+    pub fn begin(&self, steps: &[Step], choice: &Choice) -> Result<Navigator> {
         let rests = rests_of(steps);
-        let start = self.start(samples, &rests, choice)?;
+        let start = self.start(&rests, choice)?;
         let at_rest = self.first_rest(&rests).is_some();
         Ok(Navigator::new(start, self.times_s[0], at_rest, choice.start.is_some()))
     }
@@ -206,16 +206,16 @@ impl<'a> Unit<'a> {
     }
 
     /// The samples with what windows about them show of the motion.
-    pub fn steps(&self, samples: &[Sample], choice: &Choice, method: Method) -> Vec<Step> {
-        let rests = self.rests(samples, choice, method);
+    pub fn steps(&self, choice: &Choice, method: Method) -> Vec<Step> {
+        let rests = self.rests(choice, method);
         let stances = match choice.profile {
-            Profile::Foot if method == Method::Strapdown => self.stances(samples, choice),
-            _ => vec![None; samples.len()],
+            Profile::Foot if method == Method::Strapdown => self.stances(choice),
+            _ => vec![None; self.samples.len()],
         };
         // A foot's shocks are short: the largest reading is nearer to them than none.
         let is_left_out =
             |k: &usize| choice.profile != Profile::Foot && self.clipped.binary_search(k).is_ok();
-        let steps = samples.iter().enumerate().map(|(k, sample)| Step {
+        let steps = self.samples.iter().enumerate().map(|(k, sample)| Step {
             time_s: self.times_s[k],
             step_s: sample.step_s,
             carrier: if is_left_out(&k) { Carrier::Unmeasured } else { Carrier::Sample(*sample) },
@@ -233,7 +233,7 @@ impl<'a> Unit<'a> {
     }
 
     /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.
-    fn rests(&self, samples: &[Sample], choice: &Choice, method: Method) -> Vec<bool> {
+    fn rests(&self, choice: &Choice, method: Method) -> Vec<bool> {
         if let Some(given) = &choice.rests_s {
             let inside = |t: &f64| given.iter().any(|rest| rest.contains(t));
             return self.times_s.iter().map(inside).collect();
@@ -242,31 +242,31 @@ impl<'a> Unit<'a> {
         if method != Method::Strapdown {
             settings = settings.without_gyroscope(self.noise_mps2);
         }
-        let statistics = self.statistics(samples, settings);
+        let statistics = self.statistics(settings);
         let at_rest = statistics.iter().map(|statistic| *statistic < settings.threshold);
         at_rest.collect()
     }
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s.
-    fn stances(&self, samples: &[Sample], choice: &Choice) -> Vec<Option<f64>> {
+    fn stances(&self, choice: &Choice) -> Vec<Option<f64>> {
         if choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored {
-            return vec![None; samples.len()];
+            return vec![None; self.samples.len()];
         }
-        self.found_stances(samples)
+        self.found_stances()
     }
 
-    fn found_stances(&self, samples: &[Sample]) -> Vec<Option<f64>> {
-        let mut found = vec![None; samples.len()];
-        let statistics = self.statistics(samples, RestLimits::foot());
+    fn found_stances(&self) -> Vec<Option<f64>> {
+        let mut found = vec![None; self.samples.len()];
+        let statistics = self.statistics(RestLimits::foot());
         stances(&statistics, 1.0 / median_step_s(self.times_s), &mut found);
         found
     }
 
     /// Whether the motion is that of a foot, which is taken for that of a hand.
-    fn foot(&self, samples: &[Sample]) -> Option<Problem> {
-        let stances = self.found_stances(samples);
+    fn foot(&self) -> Option<Problem> {
+        let stances = self.found_stances();
         let is_stance: Vec<bool> = stances.iter().map(Option::is_some).collect();
-        let steps = steps(self.times_s, samples, &runs(&is_stance))?;
+        let steps = steps(self.times_s, self.samples, &runs(&is_stance))?;
         let text = format!("it moves like a foot, in {}", counted(steps, "step"));
         let remedy = "if it was on one: --profile foot, which knows the velocity in each stance";
         Some(Code::Navigation.warning(text).remedy(remedy))
@@ -287,13 +287,13 @@ impl<'a> Unit<'a> {
     }
 
     /// Statistic of the window about each sample; the nearest full window at both ends.
-    fn statistics(&self, samples: &[Sample], mut settings: RestLimits) -> Vec<f64> {
+    fn statistics(&self, mut settings: RestLimits) -> Vec<f64> {
         settings.gravity_mps2 = self.gravity_mps2;
         let mut detector = RestDetector::new(settings);
-        let (mut found, mut ahead_s) = (Vec::with_capacity(samples.len()), 0.0);
+        let (mut found, mut ahead_s) = (Vec::with_capacity(self.samples.len()), 0.0);
         let mut filling = 0;
         let mut last = f64::INFINITY;
-        for sample in samples {
+        for sample in self.samples {
             let rate = sample.rate_rad_s.as_ref();
             detector.push(&sample.force_mps2, rate, sample.step_s);
             ahead_s += sample.step_s;
@@ -305,7 +305,7 @@ impl<'a> Unit<'a> {
         }
         let first = found.get(filling).copied().unwrap_or(f64::INFINITY);
         found[..filling].fill(first);
-        found.resize(samples.len(), last);
+        found.resize(self.samples.len(), last);
         found
     }
 
@@ -324,18 +324,13 @@ impl<'a> Unit<'a> {
         (at_start && lasts_s >= FIRST_REST_S).then_some(rest.end)
     }
 
-    pub fn start(
-        &self,
-        samples: &[Sample],
-        rests: &[bool],
-        choice: &Choice,
-    ) -> Result<core::Navigator> {
+    pub fn start(&self, rests: &[bool], choice: &Choice) -> Result<core::Navigator> {
         let rest = self.first_rest(rests);
         let count = match rest {
             Some(end) => self.within(ALIGNMENT_S).min(end),
             None => self.within(SHORT_ALIGNMENT_S),
         };
-        let usable: Vec<Sample> = samples[..count]
+        let usable: Vec<Sample> = self.samples[..count]
             .iter()
             .filter(|s| s.force_mps2.iter().all(|f| f.is_finite()))
             .copied()
@@ -421,11 +416,11 @@ pub(super) fn runs(rests: &[bool]) -> Vec<Range<usize>> {
 }
 
 /// Noise of the accelerometer, m/s², a component: that of the quietest twentieth of windows of 0.25 s.
-pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
+pub(super) fn noise_mps2(times_s: &[f64], samples: &[Sample]) -> f64 {
     let step_s = median_step_s(times_s).max(f64::MIN_POSITIVE);
     let length = ((0.25 / step_s) as usize).max(5);
-    let variance = |window: &[UnitSample]| {
-        let force = || window.iter().map(|s| Vector3::from(s.force_mps2));
+    let variance = |window: &[Sample]| {
+        let force = || window.iter().map(|s| s.force_mps2);
         let mean = force().sum::<Vector3<f64>>() / length as f64;
         force().map(|f| (f - mean).norm_squared()).sum::<f64>() / (3.0 * length as f64)
     };
@@ -433,11 +428,7 @@ pub(super) fn noise_mps2(times_s: &[f64], samples: &[UnitSample]) -> f64 {
     quantile(variances, 20).map_or(0.0, f64::sqrt)
 }
 
-pub(crate) fn sample(sample: &UnitSample) -> Sample {
-    Sample {
-        step_s: sample.step_s,
-        force_mps2: sample.force_mps2.into(),
-        rate_rad_s: sample.rate_rad_s.map(Into::into),
-        field_ut: sample.field_ut.map(Into::into),
-    }
+/// Median time between two samples, s; 0 of fewer than two.
+pub(crate) fn median_step_s(times_s: &[f64]) -> f64 {
+    median(times_s.windows(2).map(|w| w[1] - w[0])).unwrap_or(0.0)
 }

@@ -8,8 +8,9 @@ use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
 use crate::digits::significant;
-use crate::motion::one_clock;
+use crate::inertial::one_clock;
 use crate::plural::counted;
+use crate::series::Ns;
 use crate::stats::median;
 use crate::{Code, Problem, Result};
 
@@ -29,7 +30,7 @@ const MEDIAN_SIGMA: f64 = 4.66;
 
 /// Refuses what cannot be solved, and reports gaps.
 pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Problem>> {
-    let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.anchor).collect();
+    let mut seen: Vec<usize> = recording.ranges.iter().map(|r| r.source).collect();
     seen.sort_unstable();
     seen.dedup();
     let moving = !recording.increments.is_empty() || recording.motion.is_some();
@@ -76,7 +77,7 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
         let along = anchors_m.iter().map(|a| (a - centre).dot(&axes.column(axis)).abs());
         2.0 * along.fold(0.0, f64::max)
     };
-    let ranges_m = recording.ranges.iter().map(|r| r.range_m);
+    let ranges_m = recording.ranges.iter().map(|r| r.value[0]);
     let median_m = median(ranges_m).unwrap_or_default();
     if median_m > FAR * extent(0) {
         let [median, extent] = [median_m, extent(0)].map(|length| significant(length, 3));
@@ -152,9 +153,9 @@ fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Proble
             let distance = (Vector3::from(run.points[at].position_m) - own.position_m).norm();
             range_m - bias - (1.0 + scale) * distance
         };
-        let pairs = recording.ranges.iter().filter(|r| r.anchor == index);
+        let pairs = recording.ranges.iter().filter(|r| r.source == index);
         let pairs: Vec<(f64, f64)> =
-            pairs.map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.range_m))).collect();
+            pairs.map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.value[0]))).collect();
         let mut spans: Vec<(f64, f64, f64)> = Vec::new();
         for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
             let median = median(block.iter().map(|(_, r)| *r)).unwrap_or_default();
@@ -221,7 +222,7 @@ pub(super) fn same_time(recording: &RangeRecording) -> Result<()> {
     let ranges = ends(&recording.ranges, |range| range.time_s);
     let wheels = ends(&recording.increments, |increment| increment.time_s);
     let motion = recording.motion.as_ref();
-    let motion = motion.and_then(|motion| ends(&motion.times_s, |time_s| *time_s));
+    let motion = motion.and_then(|motion| motion.samples.span()).map(|span| span.map(Ns::s));
     for (what, other) in [("odometry", wheels), ("inertial samples", motion)] {
         if let (Some(ranges), Some(other)) = (ranges, other) {
             one_clock([("ranges", ranges), (what, other)]).map_err(|e| e.at(&recording.name))?;

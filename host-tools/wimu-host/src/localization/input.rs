@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{AnchorPosition, Increment, RangeRecording, RangeSample};
+use super::{AnchorPosition, Increment, RangeRecording};
 use crate::formats::table::{ANGLE, LENGTH, MeasuredColumn, Measurements, TIME};
+use crate::inertial::aids::Aid;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
@@ -54,7 +55,7 @@ pub(super) fn samples(
     anchors: &[AnchorPosition],
     known: &str,
     arrived_s: Option<f64>,
-) -> Result<(Vec<RangeSample>, Vec<Problem>)> {
+) -> Result<(Vec<Aid>, Vec<Problem>)> {
     let time = match arrived_s {
         Some(_) => table.column(&["Time"], TIME),
         None => Some(table.needed(&["Time"], TIME)?),
@@ -87,7 +88,7 @@ pub(super) fn samples(
                 (.., None) => format!("anchor {name} is not in {known}"),
                 (_, Some(range_m), _) if range_m <= 0.0 => "zero or negative".to_owned(),
                 (Some(time_s), Some(range_m), Some(anchor)) => {
-                    samples.push(RangeSample { time_s, anchor, range_m });
+                    samples.push(Aid::range(time_s, anchor, range_m));
                     continue;
                 }
             };
@@ -175,7 +176,7 @@ impl RangeRecording {
             self.findings.push(Code::SamplesLeftOut.warning(text));
         }
         let times_s: Vec<f64> = rows.iter().map(|row| row[0]).collect();
-        let usual_s = crate::motion::median_step_s(&times_s);
+        let usual_s = crate::inertial::median_step_s(&times_s);
         if usual_s <= 0.0 {
             return Err(table.empty("there are fewer than two increments", "check the file"));
         }

@@ -18,9 +18,9 @@ pub use model::RangePrior;
 pub(crate) use ranging::AnchorStates;
 pub use ranging::Ranging;
 
+use crate::imu::Imu;
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
-use crate::motion::{MotionRecording, UnitSample};
 use crate::{Code, Problem, Result};
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use run::{DELAY_S, Motion, Recording, Run};
@@ -32,31 +32,6 @@ pub struct AnchorPosition {
     pub id: String,
     /// Position, m: east, north, up.
     pub position_m: [f64; 3],
-}
-
-/// A range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RangeSample {
-    /// Time, s.
-    pub time_s: f64,
-    /// Index of the anchor.
-    pub anchor: usize,
-    /// m, above zero.
-    pub range_m: f64,
-}
-
-impl RangeSample {
-    /// As an aid of a unit.
-    pub fn aid(&self, mounting: &Mounting) -> Aid {
-        Aid {
-            lever_arm_m: mounting.lever_arm_m,
-            ..Aid::range(self.time_s, self.anchor, self.range_m)
-        }
-    }
-
-    fn of(aid: &Aid) -> Self {
-        Self { time_s: aid.time_s, anchor: aid.source, range_m: aid.value[0] }
-    }
 }
 
 /// Wheel odometry over an interval.
@@ -81,12 +56,12 @@ pub struct RangeRecording {
     pub anchors: Vec<AnchorPosition>,
     /// Whether the anchors have no height: all is in the plane.
     pub planar: bool,
-    /// In the order of time.
-    pub ranges: Vec<RangeSample>,
+    /// In the order of time, each to an anchor by its index.
+    pub ranges: Vec<Aid>,
     /// Wheel odometry; empty without.
     pub increments: Vec<Increment>,
     /// Samples of an inertial sensor.
-    pub motion: Option<MotionRecording>,
+    pub motion: Option<Imu>,
     /// What was noticed at reading.
     pub findings: Vec<Problem>,
 }
@@ -189,25 +164,20 @@ pub struct Ranged {
 
 /// Samples of an inertial sensor from the first range on, and the attitude that levels them; or why they are not used.
 fn inertial(
-    motion: &MotionRecording,
+    motion: &Imu,
     first_s: f64,
 ) -> std::result::Result<(Motion<'_>, Rotation3<f64>), &'static str> {
-    let from = motion.times_s.partition_point(|t| *t < first_s);
-    let (times_s, samples) = (&motion.times_s[from..], &motion.samples[from..]);
-    let begin_s = *times_s.first().ok_or("they end before the first range")?;
+    let from = motion.samples.t.partition_point(|t| t.s() < first_s);
+    let (times, samples) = (&motion.samples.t[from..], &motion.samples.v[from..]);
+    let begin = times.first().ok_or("they end before the first range")?;
     if samples.iter().all(|s| s.rate_rad_s.is_none()) {
         return Err("without a gyroscope the direction of the acceleration is not known");
     }
-    let count = times_s.partition_point(|t| *t < begin_s + ALIGNMENT_S);
-    let sample = |s: &UnitSample| Sample {
-        step_s: s.step_s,
-        force_mps2: s.force_mps2.into(),
-        rate_rad_s: None,
-        field_ut: None,
-    };
+    let count = times.partition_point(|t| *t < begin.after_s(ALIGNMENT_S));
+    let sample = |s: &Sample| Sample { rate_rad_s: None, field_ut: None, ..*s };
     let first: Vec<Sample> = samples[..count].iter().map(sample).collect();
     let aligned = Alignment::align(&first, false).ok_or("they do not show gravity at the start")?;
-    Ok((Motion::Inertial(times_s, samples), aligned.attitude))
+    Ok((Motion::Inertial(times, samples), aligned.attitude))
 }
 
 /// Time of the initial alignment with gravity, s.

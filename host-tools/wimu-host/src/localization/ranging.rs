@@ -12,7 +12,7 @@ use wimu_nav::state::{ATTITUDE, Block, POSITION, VELOCITY};
 use super::model::Model;
 use super::run::{SPEED_MPS, START_M};
 use super::start::{LEAST, LENGTH_S, candidates};
-use super::{AnchorPosition, RangePrior, RangeRecording, RangeSample, input};
+use super::{AnchorPosition, RangePrior, RangeRecording, input};
 use crate::Result;
 use crate::formats::table::Measurements;
 use crate::inertial::aids::{Aid, Outcome};
@@ -61,7 +61,7 @@ impl Ranging {
     }
 
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
-    pub(crate) fn ranges(&self, table: &Measurements, arrived_s: f64) -> Result<Vec<RangeSample>> {
+    pub(crate) fn ranges(&self, table: &Measurements, arrived_s: f64) -> Result<Vec<Aid>> {
         let (ranges, left_out) = input::samples(table, &self.anchors, &self.name, Some(arrived_s))?;
         match left_out.first().filter(|_| ranges.is_empty()) {
             Some(why) => Err(table.empty(&why.text, "check the names of the anchors")),
@@ -77,15 +77,14 @@ impl Ranging {
         };
         let from = ranges.partition_point(|range| range.time_s < last.time_s - LENGTH_S);
         let ranges = &ranges[from.min(ranges.len().saturating_sub(LEAST))..];
-        let ranges: Vec<RangeSample> = ranges.iter().map(RangeSample::of).collect();
-        let mut seen: Vec<usize> = ranges.iter().map(|range| range.anchor).collect();
+        let mut seen: Vec<usize> = ranges.iter().map(|range| range.source).collect();
         seen.sort_unstable();
         seen.dedup();
         let least = if self.model.planar { LEAST_ANCHORS - 1 } else { LEAST_ANCHORS };
         if seen.len() < least || ranges.len() < LEAST {
             return Vec::new();
         }
-        let found = candidates(&self.positions_m(), &ranges, &self.model);
+        let found = candidates(&self.positions_m(), ranges, &self.model);
         found.iter().map(|f| (f.position_m, f.deviation_m + START_M)).collect()
     }
 

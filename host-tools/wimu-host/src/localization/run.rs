@@ -6,10 +6,10 @@ use wimu_nav::state::Role;
 
 use super::model::Model;
 use super::ranging::{AnchorEstimate, Estimate, flatten};
-use super::{Increment, RangeSample, Ranging};
+use super::{Increment, Ranging};
 use crate::inertial::aids::{Aid, Mounting};
-use crate::inertial::{Carrier, Navigator, PathPoint, StartPose, Step, run, sample};
-use crate::motion::UnitSample;
+use crate::inertial::{Carrier, Navigator, PathPoint, StartPose, Step, run};
+use crate::series::Ns;
 
 /// What carries the unit from one range to the next.
 #[derive(Clone, Copy, Debug)]
@@ -18,8 +18,8 @@ pub(super) enum Motion<'a> {
     Free,
     /// Wheel odometry in the plane.
     Odometry(&'a [Increment]),
-    /// Specific force and angular rate, at these times, s.
-    Inertial(&'a [f64], &'a [UnitSample]),
+    /// Specific force and angular rate, at these times.
+    Inertial(&'a [Ns], &'a [Sample]),
 }
 
 /// Where the unit is at the first range, with standard deviations of a component.
@@ -62,7 +62,7 @@ pub(super) struct Recording<'a> {
     pub ranging: &'a Ranging,
     /// Antenna of the unit.
     pub mounting: Mounting,
-    pub ranges: &'a [RangeSample],
+    pub ranges: &'a [Aid],
     pub motion: Motion<'a>,
     /// Attitude that levels the inertial sensor at its first sample.
     pub level: Rotation3<f64>,
@@ -88,9 +88,9 @@ impl Recording<'_> {
         let ranging = self.ranging.with(*model);
         let wheels = matches!(self.motion, Motion::Odometry(_));
         let steps = self.steps(model, until_s);
-        let at = |range: &RangeSample| Aid {
+        let at = |range: &Aid| Aid {
             time_s: range.time_s + model.shift_s,
-            ..range.aid(&self.mounting)
+            ..range.mounted(&self.mounting)
         };
         let aids: Vec<Aid> = self.ranges.iter().map(at).collect();
         // Ranges before the first sample are used with it.
@@ -156,10 +156,10 @@ impl Recording<'_> {
         match self.motion {
             Motion::Free => {}
             Motion::Odometry(increments) => times.extend(increments.iter().map(|i| i.time_s)),
-            Motion::Inertial(times_s, _) => {
-                let next = |time_s: &f64| times_s.get(times_s.partition_point(|t| t < time_s));
-                times.retain(|time_s| next(time_s).is_none_or(|next| next - time_s > SOON_S));
-                times.extend(times_s);
+            Motion::Inertial(sampled, _) => {
+                let next = |time_s: f64| sampled.get(sampled.partition_point(|t| t.s() < time_s));
+                times.retain(|time_s| next(*time_s).is_none_or(|next| next.s() - time_s > SOON_S));
+                times.extend(sampled.iter().map(|time| time.s()));
             }
         }
         times.retain(|t| *t <= until_s);
@@ -185,13 +185,11 @@ impl Recording<'_> {
     /// What carries the unit from a time to another: the sample of the other sensor there, or the part of its increment.
     fn carrier(&self, model: &Model, [from, to]: [f64; 2]) -> Carrier {
         match self.motion {
-            Motion::Inertial(times_s, samples) => {
-                let at = times_s.partition_point(|t| *t < to);
-                let found = samples.get(at).filter(|_| times_s[at] == to);
-                let step_s = to - from;
-                let of = |found: &UnitSample| sample(&UnitSample { step_s, ..*found });
+            Motion::Inertial(times, samples) => {
+                let at = times.partition_point(|t| t.s() < to);
+                let found = samples.get(at).filter(|_| times[at].s() == to);
                 found.map_or(Carrier::Unmeasured, |found| {
-                    Carrier::Sample(Sample { field_ut: None, ..of(found) })
+                    Carrier::Sample(Sample { step_s: to - from, field_ut: None, ..*found })
                 })
             }
             Motion::Odometry(increments) => {

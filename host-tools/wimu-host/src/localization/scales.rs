@@ -1,9 +1,9 @@
 //! Scales of the noise, by the likelihood of the ranges: equation (167).
 
-use super::RangeSample;
 use super::model::Model;
 use super::run::{Motion, Recording, Start};
 use crate::inertial::Residual;
+use crate::inertial::aids::Aid;
 
 /// Ranges that are used, at most: several minutes of a usual system.
 const MOST: usize = 12_000;
@@ -64,7 +64,7 @@ pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Mo
     let first = recording.navigated(model, start, until_s, None);
     let is_far = |range: &Residual| range.weight < FAR_WEIGHT && range.value < 0.0;
     let pairs = used.iter().zip(&first.residuals);
-    let near: Vec<RangeSample> = pairs.filter(|(_, l)| !is_far(l)).map(|(r, _)| *r).collect();
+    let near: Vec<Aid> = pairs.filter(|(_, l)| !is_far(l)).map(|(r, _)| *r).collect();
     let few = (used.len() - near.len()) as f64 <= MOST_FAR * used.len() as f64;
     let part = Recording { ranges: if few { &near } else { used }, ..*recording };
     let likelihood = |model: &Model| part.log_likelihood(model, start, until_s);

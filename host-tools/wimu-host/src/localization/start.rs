@@ -3,8 +3,8 @@
 
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
-use super::RangeSample;
 use super::model::Model;
+use crate::inertial::aids::Aid;
 
 /// Time whose ranges are used, s, and the least number of ranges.
 pub(super) const LENGTH_S: f64 = 1.0;
@@ -38,18 +38,14 @@ pub(super) struct Found {
 }
 
 /// Positions that explain the first ranges, the most probable first.
-pub(super) fn candidates(
-    anchors: &[Vector3<f64>],
-    ranges: &[RangeSample],
-    model: &Model,
-) -> Vec<Found> {
+pub(super) fn candidates(anchors: &[Vector3<f64>], ranges: &[Aid], model: &Model) -> Vec<Found> {
     let Some(first) = ranges.first() else {
         return Vec::new();
     };
     let count = ranges.partition_point(|r| r.time_s < first.time_s + LENGTH_S);
     let used = &ranges[..count.max(LEAST).min(ranges.len())];
     let centre = anchors.iter().sum::<Vector3<f64>>() / anchors.len() as f64;
-    let mean_m = used.iter().map(|r| r.range_m).sum::<f64>() / used.len() as f64;
+    let mean_m = used.iter().map(|r| r.value[0]).sum::<f64>() / used.len() as f64;
     let axes = principal_axes(anchors, &centre);
     let from = axes.column_iter().flat_map(|axis| {
         let step = axis.into_owned() * (0.5 * mean_m);
@@ -90,7 +86,7 @@ pub(super) fn principal_axes(anchors: &[Vector3<f64>], centre: &Vector3<f64>) ->
 
 struct Problem<'a> {
     anchors: &'a [Vector3<f64>],
-    used: &'a [RangeSample],
+    used: &'a [Aid],
     model: &'a Model,
     centre: Vector3<f64>,
     systematic_m: f64,
@@ -113,14 +109,14 @@ impl Problem<'_> {
                 let mut gradient = prior.component_mul(&from.push(-bias_m));
                 log_likelihood = 0.0;
                 for range in self.used {
-                    let difference = position_m - self.anchors[range.anchor];
+                    let difference = position_m - self.anchors[range.source];
                     let distance = difference.norm();
                     let mut direction = difference / distance.max(1e-6);
                     if self.model.planar {
                         direction.z = 0.0;
                     }
                     let variance = round_m.max(self.systematic_m).powi(2);
-                    let innovation_m = range.range_m - bias_m - distance;
+                    let innovation_m = range.value[0] - bias_m - distance;
                     let found = self.model.line_of_sight.weigh(innovation_m, variance);
                     let weight = found.weight / variance;
                     let direction = direction.push(1.0);
@@ -147,7 +143,7 @@ impl Problem<'_> {
 
     /// Dilution of precision: the deviation of the position over that of a range, with one range to each anchor.
     fn dilution(&self, position_m: &Vector3<f64>) -> Option<f64> {
-        let mut seen: Vec<usize> = self.used.iter().map(|range| range.anchor).collect();
+        let mut seen: Vec<usize> = self.used.iter().map(|range| range.source).collect();
         seen.sort_unstable();
         seen.dedup();
         let mut information = Matrix3::identity() * LEAST_INFORMATION;

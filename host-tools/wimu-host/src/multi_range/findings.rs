@@ -1,10 +1,11 @@
 //! Findings on merged accelerometers.
 
+use nalgebra::Matrix3;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::sensor::Reading;
 
 use super::fit::{BIAS_MPS2, Fit, MATRIX, rotation_deg};
-use super::{MergedSensor, Sensor, WIDER, name, relative};
+use super::{Sensor, WIDER};
 use crate::{Code, Problem, Result};
 
 /// Standard deviation of an element of the matrix up to which a recording shows it.
@@ -50,21 +51,6 @@ pub(super) fn contradicted(sensors: &[Sensor]) -> Result<()> {
     Ok(())
 }
 
-/// What was merged.
-pub(super) fn summary(sensors: &[MergedSensor]) -> Problem {
-    let names: Vec<String> =
-        (sensors.iter()).map(|sensor| name(sensor.sensor, sensor.full_scale_mps2)).collect();
-    let stands_in = sensors.iter().filter(|sensor| sensor.relative.is_some());
-    let stands_in: Vec<String> = stands_in
-        .map(|sensor| format!("{} in {} samples", sensor.sensor, sensor.stands_in))
-        .collect();
-    Code::Navigation.note(format!(
-        "accelerometers {} merged; where finer ones are saturated: {}",
-        names.join(", "),
-        stands_in.join(", ")
-    ))
-}
-
 /// Findings on the calibration of `coarse`.
 pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<Problem>> {
     let mut findings = Vec::new();
@@ -80,12 +66,12 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
             "check that both are on one body, and that their clocks differ by less than 2 s",
         ));
     }
-    let relative = relative(fit);
-    let observed = relative.matrix_sd < OBSERVED;
+    let model = &fit.model;
+    let matrix_sd = model.covariance.diagonal().rows(1, 3).max().sqrt();
+    let observed = matrix_sd < OBSERVED;
+    let off = (model.matrix - Matrix3::identity()) / MATRIX;
     let departs = (0..3).any(|axis| {
-        let own = |other: usize| f64::from(u8::from(other == axis));
-        let row = (0..3).map(|k| ((relative.matrix[axis][k] - own(k)) / MATRIX).powi(2));
-        (relative.bias_mps2[axis] / BIAS_MPS2).powi(2) + row.sum::<f64>() > DEPARTS
+        (model.bias_mps2[axis] / BIAS_MPS2).powi(2) + off.row(axis).norm_squared() > DEPARTS
     });
     let rotation = rotation_deg(&fit.model.matrix);
     match (observed, departs, rotation) {
@@ -113,7 +99,7 @@ pub(super) fn judged(finest: &Sensor, coarse: &Sensor, fit: &Fit) -> Result<Vec<
             Code::NotObserved
                 .warning(format!(
                     "scale factors of accelerometer {fit_name} are known to ± {:.1} % only",
-                    100.0 * relative.matrix_sd
+                    100.0 * matrix_sd
                 ))
                 .remedy("begin with a rest on each of three sides, or with motion within the finer range"),
         ),

@@ -8,7 +8,6 @@ use wimu_model::{
     Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TemperatureTerms,
 };
 
-use super::beside::Beside;
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
 use crate::calibration::SensorCalibration;
@@ -316,26 +315,25 @@ impl<'a> Samples<'a> {
 
     /// The samples with what was measured beside them, in order.
     pub fn iter(&self) -> impl Iterator<Item = Output> + Clone + use<'_, 'a> {
-        let beside = |track: Option<&'a Track>| track.map(|track| track.beside(self.force));
-        let mut temperature = beside(self.temperature);
-        let (mut field, mut weights) = (beside(self.field), beside(self.weights));
+        let mut temperature = self.temperature.map(|track| track.beside::<1>(self.force));
+        let mut field = self.field.map(|track| track.beside::<3>(self.force));
+        let mut weights = self.weights.map(|track| track.beside::<1>(self.force));
         let first = self.temperature.and_then(|track| track.valid().next());
         let mut celsius = first.map(|(_, row)| row[0]);
         let mut gaps = self.gaps.iter().peekable();
         let rows = self.rows.iter().zip(self.values()).enumerate();
         rows.map(move |(index, (row, value))| {
             let time_ns = self.force.times_ns[*row];
-            let latest = |track: &mut Option<Beside<'a>>| track.as_mut()?.latest(*row, time_ns);
-            celsius = latest(&mut temperature).map(|row| row[0]).or(celsius);
-            let weight = latest(&mut weights).map(|row| row[0]);
+            let now = temperature.as_mut().and_then(|track| track.latest(*row, time_ns));
+            celsius = now.map(|[celsius]| celsius).or(celsius);
+            let weight = weights.as_mut().and_then(|track| track.latest(*row, time_ns));
+            let tesla = field.as_mut().and_then(|track| track.latest(*row, time_ns));
             Output {
                 value,
                 temperature_c: celsius,
-                samples: weight.map_or(1, |count| count as u32),
+                samples: weight.map_or(1, |[count]| count as u32),
                 after_gap: gaps.next_if(|gap| **gap == index).is_some(),
-                magnetic_field_nt: latest(&mut field)
-                    .and_then(|tesla| <[f64; 3]>::try_from(tesla).ok())
-                    .map(|tesla| tesla.map(|axis| axis * 1e9)),
+                magnetic_field_nt: tesla.map(|tesla| tesla.map(|axis| axis * 1e9)),
             }
         })
     }
@@ -376,7 +374,7 @@ impl<'a> Samples<'a> {
     /// The samples, `mps2` m/s² per unit, with the angular rate of `rate`, `rad_s` rad/s per unit; NaN where it has no
     /// row.
     pub(crate) fn six_axis(&self, rate: &Track, mps2: f64, rad_s: f64) -> Vec<SixAxisSample> {
-        let mut rates = rate.beside(self.force);
+        let rates = rate.beside(self.force);
         let mut last_s = 0.0;
         let rows = self.rows.iter().zip(self.values()).enumerate();
         rows.map(|(index, (row, value))| {

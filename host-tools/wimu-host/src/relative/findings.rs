@@ -3,7 +3,7 @@
 use super::engine::Pose;
 use super::hinge::relative;
 use super::{Hinge, RelativePath};
-use crate::motion::MotionRecording;
+use crate::imu::Imu;
 use crate::{Code, Problem};
 
 /// Standard deviation of the axis up to which it is accurate enough, rad: 10° change an angle by 1 − cos 10° = 1.5 %.
@@ -97,8 +97,8 @@ pub(super) fn ambiguous() -> Problem {
 }
 
 /// No field in both.
-pub(super) fn without_field(recordings: [&MotionRecording; 2]) -> Problem {
-    let reason = recordings.map(MotionRecording::without_field);
+pub(super) fn without_field(recordings: [&Imu; 2]) -> Problem {
+    let reason = recordings.map(Imu::without_field);
     Code::MagneticField
         .warning(format!("the magnetometers are not used: {}; {}", reason[0], reason[1]))
 }

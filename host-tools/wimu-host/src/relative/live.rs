@@ -3,8 +3,9 @@
 use super::engine::{Engine, Model};
 use super::pair::{Steps, Unit};
 use super::{Angle, Clock, RelativeChoice, RelativePath, RelativePoint, search};
+use crate::imu::{Imu, Sample};
 use crate::inertial::LeastDelay;
-use crate::motion::{MotionRecording, UnitSample};
+use crate::series::Ns;
 use crate::{Code, Problem, Result};
 use nalgebra::Rotation3;
 
@@ -32,19 +33,17 @@ pub enum Body {
 /// clocks of both units are tied to that of the host by the messages of least delay.
 ///
 /// ```
-/// use wimu_host::motion::{MotionRecording, UnitSample};
+/// use wimu_host::imu::Sample;
 /// use wimu_host::relative::{Body, LiveRelative, RelativeChoice};
 ///
 /// let mut live = LiveRelative::new(RelativeChoice::default(), Default::default());
 /// for k in 0..900 {
 ///     let time_s = f64::from(k) * 0.01;
-///     let resting = UnitSample {
-///         force_mps2: [0.0, 0.0, 9.81],
-///         rate_rad_s: Some([0.0; 3]),
-///         ..UnitSample::default()
-///     };
+///     let force_mps2 = [0.0, 0.0, 9.81].into();
+///     let rate_rad_s = Some([0.0; 3].into());
+///     let resting = Sample { force_mps2, rate_rad_s, ..Sample::default() };
 ///     live.push(Body::A, time_s, time_s, resting);
-///     live.push(Body::B, time_s, time_s, UnitSample { force_mps2: [0.1, 0.0, 9.8], ..resting });
+///     live.push(Body::B, time_s, time_s, Sample { force_mps2: [0.1, 0.0, 9.8].into(), ..resting });
 /// }
 /// assert!(live.take().is_empty());
 /// assert!(live.lacks().expect("no motion").text.contains("the joint hardly moves"));
@@ -52,7 +51,7 @@ pub enum Body {
 pub struct LiveRelative {
     choice: RelativeChoice,
     /// The latest samples, each at times of its clock.
-    recordings: [MotionRecording; 2],
+    recordings: [Imu; 2],
     /// Both clocks on that of the host.
     clocks: [LeastDelay; 2],
     /// First time of the first unit, s.
@@ -65,7 +64,7 @@ pub struct LiveRelative {
 
 impl LiveRelative {
     /// Before the first sample. `of` has the calibrations of the units.
-    pub fn new(choice: RelativeChoice, of: [MotionRecording; 2]) -> Self {
+    pub fn new(choice: RelativeChoice, of: [Imu; 2]) -> Self {
         Self {
             choice,
             recordings: of,
@@ -79,22 +78,20 @@ impl LiveRelative {
 
     /// The next sample of a unit, at a time of its clock, s, that arrived at a time of the host, s. A search takes up to a
     /// second.
-    pub fn push(&mut self, body: Body, time_s: f64, arrived_s: f64, sample: UnitSample) {
+    pub fn push(&mut self, body: Body, time_s: f64, arrived_s: f64, sample: Sample) {
         let k = body as usize;
         self.clocks[k].see(time_s, arrived_s);
-        let recording = &mut self.recordings[k];
-        recording.times_s.push(time_s);
-        recording.samples.push(sample);
-        if recording.times_s[0] < time_s - 2.0 * KEPT_S {
-            let old = recording.times_s.partition_point(|t| *t < time_s - KEPT_S);
-            recording.times_s.drain(..old);
-            recording.samples.drain(..old);
+        let (time, recording) = (Ns::from_s(time_s), &mut self.recordings[k]);
+        recording.push(time, sample);
+        let first = recording.samples.t.first();
+        if first.is_some_and(|first| time.since_s(*first) > 2.0 * KEPT_S) {
+            recording.samples.forget_before(time.after_s(-KEPT_S), 1);
         }
         let Some(behind_s) = self.behind_s() else {
             return;
         };
         if let Some(running) = &mut self.running {
-            running.units[k].push(time_s, &sample);
+            running.units[k].push(time, &sample);
             running.advance(behind_s);
             if !running.engine.is_sound() {
                 self.running = None;
@@ -160,14 +157,12 @@ impl LiveRelative {
     /// Searches clock, axis and start in the latest motion.
     fn begin(&mut self, behind_s: f64) -> Result<()> {
         for recording in &mut self.recordings {
-            let newest_s = recording.times_s.last().copied().unwrap_or_default();
-            let old = recording.times_s.partition_point(|t| *t < newest_s - KEPT_S);
-            recording.times_s.drain(..old);
-            recording.samples.drain(..old);
+            let newest = recording.samples.t.last().copied().unwrap_or_default();
+            recording.samples.forget_before(newest.after_s(-KEPT_S), 1);
         }
         let [first, second] = &self.recordings;
         let mut aligned = second.clone();
-        aligned.times_s.iter_mut().for_each(|t| *t += behind_s);
+        aligned.samples.t.iter_mut().for_each(|t| *t = t.after_s(behind_s));
         let (found, start, model) = search([first, &aligned], &self.choice)?;
         let units = Unit::of(first).zip(Unit::of(second));
         if let Some((first, second)) = units {

@@ -17,7 +17,7 @@ pub use clock::Clock;
 pub use hinge::Hinge;
 pub use live::{Body, LiveRelative};
 
-use crate::motion::MotionRecording;
+use crate::imu::Imu;
 use crate::{Code, Problem, Result};
 use engine::{Model, Run};
 use pair::{Step, Unit, steps};
@@ -82,16 +82,13 @@ pub struct RelativePath {
 /// # Errors
 /// `data_refused`: a unit without a gyroscope, one recording twice, no common time, no motion of the joint where its axis is
 /// not given.
-pub fn relative(
-    recordings: [&MotionRecording; 2],
-    choice: &RelativeChoice,
-) -> Result<RelativePath> {
+pub fn relative(recordings: [&Imu; 2], choice: &RelativeChoice) -> Result<RelativePath> {
     Ok(search(recordings, choice)?.0)
 }
 
 /// The rotation, and the start and the model of its last run.
 fn search(
-    recordings: [&MotionRecording; 2],
+    recordings: [&Imu; 2],
     choice: &RelativeChoice,
 ) -> Result<(RelativePath, Rotation3<f64>, Model)> {
     let names = recordings.map(|recording| recording.name.as_str()).join(" and ");
@@ -104,7 +101,7 @@ fn search(
     let units = units(recordings).map_err(at)?;
     let (clock, mut noticed) = clock::coarse(&units).map_err(at)?;
     let has_fields =
-        recordings.map(|r| r.samples.iter().any(|s| s.field_ut.is_some())) == [true; 2];
+        recordings.map(|r| r.samples.v.iter().any(|s| s.field_ut.is_some())) == [true; 2];
     let mut model = Model {
         hinge: given,
         fields: choice.magnetometers && has_fields,
@@ -145,15 +142,15 @@ fn search(
     }
 }
 
-fn units(recordings: [&MotionRecording; 2]) -> Result<[Unit; 2]> {
+fn units(recordings: [&Imu; 2]) -> Result<[Unit; 2]> {
     let [first, second] = recordings;
     let force =
-        |r: &MotionRecording| -> Vec<[f64; 3]> { r.samples.iter().map(|s| s.force_mps2).collect() };
+        |recording: &'_ Imu| Vec::from_iter(recording.samples.v.iter().map(|s| s.force_mps2));
     if force(first) == force(second) {
         let remedy = "give the recordings of two units on two bodies";
         return Err(Code::DataRefused.error("both have the same samples", remedy));
     }
-    let unit = |recording: &MotionRecording| {
+    let unit = |recording: &Imu| {
         Unit::of(recording).ok_or_else(|| {
             let remedy = "--relative needs an accelerometer and a gyroscope in both units";
             Code::DataRefused.error(format!("{} has no angular rates", recording.name), remedy)

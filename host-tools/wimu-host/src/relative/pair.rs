@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector3, Vector6};
 
-use crate::motion::{MotionRecording, UnitSample, gap_s, median_step_s};
+use crate::imu::{Imu, Sample};
 use crate::series::{Flags, Interp, Ns, Series};
 
 /// Shortest common step, s: joints of machines and limbs move below 20 Hz.
@@ -42,28 +42,28 @@ pub(super) struct Unit {
 
 impl Unit {
     /// `None` without a gyroscope.
-    pub(super) fn of(recording: &MotionRecording) -> Option<Self> {
+    pub(super) fn of(recording: &Imu) -> Option<Self> {
         let mut unit = Self {
-            integrals: Series::default().with_gap(gap_s(&recording.times_s)),
-            step_s: median_step_s(&recording.times_s),
+            integrals: Series::default().with_gap(recording.samples.pause_s()),
+            step_s: recording.samples.period_s(),
             ..Self::default()
         };
-        for (&time_s, sample) in recording.times_s.iter().zip(&recording.samples) {
-            unit.push(time_s, sample);
+        for (time, sample) in recording.samples.t.iter().zip(&recording.samples.v) {
+            unit.push(*time, sample);
         }
         (unit.integrals.len() > 2).then_some(unit)
     }
 
     /// The next sample. One that is not finite, not later than the last one or without angular rate is left out.
-    pub(super) fn push(&mut self, time_s: f64, sample: &UnitSample) {
+    pub(super) fn push(&mut self, time: Ns, sample: &Sample) {
         let Some(rate_rad_s) = sample.rate_rad_s else {
             return;
         };
-        let now = Vector6::from_iterator(sample.force_mps2.into_iter().chain(rate_rad_s));
-        if !now.iter().chain([&time_s]).all(|v| v.is_finite()) {
+        let all = sample.force_mps2.iter().chain(&rate_rad_s).copied();
+        let now = Vector6::from_iterator(all);
+        if !now.iter().all(|v| v.is_finite()) {
             return;
         }
-        let time = Ns::from_s(time_s);
         let mut sum = self.integrals.v.last().copied().unwrap_or_default();
         if let (Some(before), Some(last)) = (self.last, self.integrals.t.last()) {
             sum += (before + now) * (0.5 * time.since_s(*last));
@@ -71,7 +71,7 @@ impl Unit {
         if !self.integrals.push(time, sum, Flags::NONE) {
             return;
         }
-        if let Some(field) = sample.field_ut.map(Vector3::from)
+        if let Some(field) = sample.field_ut
             && self.fields.v.last() != Some(&field)
         {
             self.fields.push(time, field, Flags::NONE);

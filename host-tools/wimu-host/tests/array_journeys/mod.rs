@@ -8,8 +8,8 @@ use super::common::{Random, cross, push, push_truth};
 use wimu_calib::Gravity;
 use wimu_host::Problem;
 use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry, RefineOptions};
+use wimu_host::inertial::nees;
 use wimu_host::inertial::{Choice, Zupt, navigate_array};
-use wimu_host::motion::nees;
 
 const G: f64 = 9.80665;
 const TAU: f64 = std::f64::consts::TAU;

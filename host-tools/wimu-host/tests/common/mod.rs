@@ -1,12 +1,21 @@
 //! What tests share.
 
+use std::path::Path;
+
 use wimu_host::array::{Array, ArrayUnit, UnitOptions};
+use wimu_host::formats::{ReadOptions, load};
+use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::series::{Flags, Ns};
 pub use wimu_testkit::Random;
 
 /// As `wimu navigate` reads an array.
 pub const UNITS: UnitOptions =
     UnitOptions { sensitivity_lsb_per_g: 2048.0, link: None, raw: false };
+
+/// The samples of a file of one unit.
+pub fn read(file: &Path) -> wimu_host::Result<Imu> {
+    Imu::of(&load(file, &ReadOptions::default())?, &ImuOptions::default())
+}
 
 /// Adds a sample of each sensor, m/s², to an array.
 pub fn push(array: &mut Array, time_s: f64, outputs: impl IntoIterator<Item = [f64; 3]>) {

@@ -94,13 +94,13 @@ fn walk(seed: u64, random: &mut Random) -> (Vec<Vec<f64>>, Vec<Point>) {
     }
     let walk = sensed(&Strides::along(&corners), RATE_HZ, seed);
     let (mut rows, mut truth) = (Vec::new(), Vec::new());
-    for (k, time_s) in walk.times_s.into_iter().enumerate() {
-        let rate = walk.samples[k].rate_rad_s.unwrap_or_default();
-        rows.push([time_s].into_iter().chain(walk.samples[k].force_mps2).chain(rate).collect());
-        let Some(real) = walk.truth[k] else { continue };
-        let [w, x, y, z] = real.quaternion;
+    for (k, sample) in walk.samples.v.iter().enumerate() {
+        let time_s = walk.samples.t[k].s();
+        let rate = sample.rate_rad_s.unwrap_or_default();
+        rows.push([time_s].iter().chain(&sample.force_mps2).chain(&rate).copied().collect());
+        let [w, x, y, z] = walk.reference.quaternion.v[k].into();
         let attitude = Some(UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)));
-        truth.push(Point { attitude, ..Point::new(time_s, real.position_m.into()) });
+        truth.push(Point { attitude, ..Point::new(time_s, walk.reference.position_m.v[k]) });
     }
     (rows, truth)
 }

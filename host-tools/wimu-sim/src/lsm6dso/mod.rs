@@ -15,7 +15,7 @@ mod pattern;
 
 use wimu_model::Counts;
 
-use crate::chip::{Chip, GyroscopeFault, Registers};
+use crate::chip::{Chip, Core, GyroscopeFault};
 use crate::sampling::SampleClock;
 use crate::source::{Conversion, Source, quantise};
 use crate::spi;
@@ -62,16 +62,13 @@ const TURN_ON_S: f64 = 0.070;
 #[derive(Debug, Default)]
 pub(crate) struct Lsm6dso {
     address: u8,
-    identity: u8,
-    fault: GyroscopeFault,
-    registers: Registers,
+    /// Samples at the faster of both rates; the slower one is a power of two below it.
+    core: Core,
     now: u64,
     reset_until: u64,
     gyroscope_on_us: u64,
-    /// At the faster of both rates; the slower one is a power of two below it.
-    sampling: Option<SampleClock>,
-    /// Samples of the gyroscope and of the accelerometer.
-    taken: [u64; 2],
+    /// Samples of the gyroscope.
+    rates_taken: u64,
     ticks: u64,
     /// Tag counter: instants with words in the FIFO.
     slot: u8,
@@ -89,7 +86,7 @@ pub(crate) struct Lsm6dso {
 impl Lsm6dso {
     /// A chip at `address` after power-on.
     pub(crate) fn new(address: u8) -> Self {
-        let mut chip = Self { address, identity: 0x6C, ..Self::default() };
+        let mut chip = Self { address, core: Core::of(0x6C), ..Self::default() };
         chip.reset();
         chip
     }
@@ -97,17 +94,9 @@ impl Lsm6dso {
     /// An LSM6DS3TR-C at `address` after power-on.
     pub(crate) fn lsm6ds3tr_c(address: u8) -> Self {
         let plain = Some(pattern::Fifo::default());
-        let mut chip = Self { address, identity: 0x6A, plain, ..Self::default() };
+        let mut chip = Self { address, core: Core::of(0x6A), plain, ..Self::default() };
         chip.reset();
         chip
-    }
-
-    fn register(&self, register: u8) -> u8 {
-        self.registers.get(register)
-    }
-
-    fn is_set(&self, register: u8, mask: u8) -> bool {
-        self.registers.is_set(register, mask)
     }
 
     /// Rate codes of the gyroscope and the accelerometer, 0 while one is off.
@@ -149,52 +138,27 @@ impl Lsm6dso {
         watermark > 0 && words >= watermark
     }
 
-    fn tick(&mut self, time_s: f64, source: &mut dyn Source) {
-        if source.waits_for_reader() && self.above_watermark() {
-            return;
-        }
-        let [mut rate, force] = self.codes().map(|code| self.is_due(code));
-        if force && !self.sample_force(time_s, source) {
-            return;
-        }
-        rate &= self.fault != GyroscopeFault::Stops;
-        if rate {
-            self.sample_rate(time_s, source);
-        }
-        self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
-        self.fresh |= 0b100;
-        if let Some(plain) = &mut self.plain {
-            let [_, sample @ ..] = self.output;
-            if self.registers.get(PLAIN_CTRL5) & 0b111 != 0 && force {
-                plain.push(sample);
-            }
-        } else if self.register(FIFO_CTRL4) & 0b111 != 0 {
-            self.batch(rate, force);
-        }
-        self.ticks += 1;
-    }
-
     fn sample_rate(&mut self, time_s: f64, source: &mut dyn Source) {
         let turned_on = time_s >= self.gyroscope_on_us as f64 * 1e-6 + TURN_ON_S;
         let rate_hz = FASTEST_HZ / f64::from(1 << (10 - self.codes()[0]));
-        let (index, lsb_per_dps) = (self.taken[0], self.lsb_per_dps());
-        let Counts(counts) = match self.fault {
+        let (index, lsb_per_dps) = (self.rates_taken, self.lsb_per_dps());
+        let Counts(counts) = match self.core.fault {
             GyroscopeFault::None if turned_on => {
                 source.angular_rate(index, time_s, rate_hz, lsb_per_dps)
             }
             _ => Counts([i16::MAX; 3]),
         };
-        if self.fault != GyroscopeFault::Stuck {
+        if self.core.fault != GyroscopeFault::Stuck {
             self.output[1..4].copy_from_slice(&counts);
         }
-        self.taken[0] += 1;
+        self.rates_taken += 1;
         self.fresh |= 0b010;
     }
 
     /// Whether the source had a sample.
     fn sample_force(&mut self, time_s: f64, source: &mut dyn Source) -> bool {
         let conversion = Conversion {
-            index: self.taken[1],
+            index: self.core.taken,
             time_s,
             rate_hz: FASTEST_HZ / f64::from(1 << (10 - self.codes()[1])),
             lsb_per_g: self.lsb_per_g(),
@@ -204,7 +168,7 @@ impl Lsm6dso {
             return false;
         };
         self.output[4..7].copy_from_slice(&counts.0);
-        self.taken[1] += 1;
+        self.core.taken += 1;
         self.fresh |= 0b001;
         true
     }
@@ -265,18 +229,48 @@ impl Lsm6dso {
 }
 
 impl Chip for Lsm6dso {
+    fn core(&self) -> &Core {
+        &self.core
+    }
+
+    fn core_mut(&mut self) -> &mut Core {
+        &mut self.core
+    }
+
+    fn sample(&mut self, time_s: f64, source: &mut dyn Source) {
+        if source.waits_for_reader() && self.above_watermark() {
+            return;
+        }
+        let [mut rate, force] = self.codes().map(|code| self.is_due(code));
+        if force && !self.sample_force(time_s, source) {
+            return;
+        }
+        rate &= self.core.fault != GyroscopeFault::Stops;
+        if rate {
+            self.sample_rate(time_s, source);
+        }
+        self.output[0] = quantise(256.0 * (source.temperature_c(time_s) - 25.0), 16);
+        self.fresh |= 0b100;
+        if let Some(plain) = &mut self.plain {
+            let [_, sample @ ..] = self.output;
+            if self.core.registers.get(PLAIN_CTRL5) & 0b111 != 0 && force {
+                plain.push(sample);
+            }
+        } else if self.register(FIFO_CTRL4) & 0b111 != 0 {
+            self.batch(rate, force);
+        }
+        self.ticks += 1;
+    }
+
     fn settle(&mut self, now: u64, source: &mut dyn Source) {
         self.now = now;
-        while let Some(time_s) = self.sampling.as_mut().and_then(|s| s.take_due(now)) {
-            self.tick(time_s, source);
-        }
+        self.take_due(now, source);
     }
 
     fn reset(&mut self) {
-        self.registers.clear();
-        self.registers.set(CTRL3_C, IF_INC);
-        self.registers.set(CTRL9_XL, 0xE0);
-        self.sampling = None;
+        self.core.clear();
+        self.core.registers.set(CTRL3_C, IF_INC);
+        self.core.registers.set(CTRL9_XL, 0xE0);
         self.output = [0; 7];
         self.fresh = 0;
         self.fifo = Fifo::default();
@@ -288,16 +282,12 @@ impl Chip for Lsm6dso {
         i2c || address == spi::ADDRESS
     }
 
-    fn begin_write(&mut self, _address: u8) {
-        self.registers.begin();
-    }
-
     fn write(&mut self, _address: u8, byte: u8, now: u64, period_error_ppm: f64) {
-        if self.registers.takes_number(byte) {
+        if self.core.registers.takes_number(byte) {
             return;
         }
-        let register = self.registers.pointer;
-        self.registers.pointer = self.after(register);
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = self.after(register);
         let read_only = matches!(
             register,
             WHO_AM_I | ALL_INT_SRC..=OUTZ_H_A | FIFO_STATUS1 | FIFO_STATUS2 | FIFO_TAG..
@@ -306,7 +296,7 @@ impl Chip for Lsm6dso {
             return;
         }
         let codes = self.codes();
-        self.registers.set(register, byte);
+        self.core.registers.set(register, byte);
         match register {
             CTRL3_C if byte & SW_RESET != 0 => {
                 self.reset();
@@ -325,13 +315,13 @@ impl Chip for Lsm6dso {
             self.ticks = 0;
             let rate_hz = FASTEST_HZ / f64::from(1 << (10 - self.fastest_code()));
             let sampling = SampleClock::new(rate_hz, now, period_error_ppm);
-            self.sampling = (self.fastest_code() > 0).then_some(sampling);
+            self.core.sampling = (self.fastest_code() > 0).then_some(sampling);
         }
     }
 
     fn read(&mut self, _address: u8) -> u8 {
-        let register = self.registers.pointer;
-        self.registers.pointer = self.after(register);
+        let register = self.core.registers.pointer;
+        self.core.registers.pointer = self.after(register);
         let above_watermark = self.above_watermark();
         if let Some(plain) = &mut self.plain {
             match register {
@@ -344,7 +334,7 @@ impl Chip for Lsm6dso {
         }
         match register {
             _ if self.is_hidden(register) => 0,
-            WHO_AM_I => self.identity,
+            WHO_AM_I => self.core.identity,
             CTRL3_C => self.register(CTRL3_C) | u8::from(self.now < self.reset_until),
             STATUS => self.fresh,
             OUT_TEMP_L..=OUTZ_H_A => self.read_output(usize::from(register - OUT_TEMP_L)),
@@ -366,22 +356,6 @@ impl Chip for Lsm6dso {
             | u8::from(full) << 4
             | u8::from(full) << 5;
         (self.register(INT1_CTRL) & happened != 0) != self.is_set(CTRL3_C, ACTIVE_LOW)
-    }
-
-    fn next_change(&self) -> Option<u64> {
-        self.sampling.map(|sampling| sampling.next_us())
-    }
-
-    fn set_identity(&mut self, identity: u8) {
-        self.identity = identity;
-    }
-
-    fn set_gyroscope_fault(&mut self, fault: GyroscopeFault) {
-        self.fault = fault;
-    }
-
-    fn samples_taken(&self) -> u64 {
-        self.taken[1]
     }
 
     fn has_unread(&self) -> bool {

@@ -69,12 +69,12 @@ pub struct Calibrate {
     /// How to calibrate
     #[arg(long, value_enum, default_value_t = Method::MultiPosition, help_heading = "Model")]
     pub method: Method,
-    /// Parameters: 3, 6, 9, 12 or auto, +drift, …
+    /// Parameters: 9, 12 or auto, +drift, …
     ///
-    /// Parameters to estimate: 3 (bias), 6 (and scale factors), 9 (and misalignments), or auto (least leave-one-out
-    /// error). Append +drift (of the bias), +temperature or +quadratic, as in 9+drift [default: 9; six-position has 12,
-    /// four-angle and three-angle have 6]
-    #[arg(long, value_name = "3|6|9|12|auto[+TERM…]", help_heading = "Model")]
+    /// 9: bias, scale factors and misalignments from the poses alone. auto: also drift and temperature, with the tolerances
+    /// of typical datasheets as priors, for fewer or uneven poses. Append +drift (of the bias), +temperature or +quadratic,
+    /// as in 9+drift [default: 9; six-position has 12, four-angle and three-angle have 6]
+    #[arg(long, value_name = "9|12|auto[+TERM…]", help_heading = "Model")]
     pub model: Option<String>,
     /// Local gravity, m/s²
     ///

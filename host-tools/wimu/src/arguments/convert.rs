@@ -13,6 +13,7 @@ use super::reading::Reading;
 Examples:
   wimu convert session.mcap -o session.csv --stream corrected
   wimu convert session.mcap -o topics.mcap
+  wimu convert flight.ulg -o flight.mcap
   wimu convert flight.ulg --with CAL.json -o corrected.csv
   wimu convert CAL.json --to c -o wimu_calibration.h
 

@@ -54,6 +54,7 @@ pub fn finish<R: Display + Serialize>(
     let exit_code = outcome.exit_code();
     if let (0, Some(path), Some(file)) = (exit_code, path, file) {
         file.write(path)?;
+        output.print(format!("wrote {}", path.display()));
     }
     rest()?;
     output.object(report);
@@ -61,11 +62,16 @@ pub fn finish<R: Display + Serialize>(
 }
 
 /// Writes the report, if one was asked for.
-fn write_page(arguments: &Calibrate, page: impl FnOnce() -> Document) -> Result<()> {
-    match &arguments.report {
-        Some(path) => page().write(path),
-        None => Ok(()),
+fn write_page(
+    arguments: &Calibrate,
+    page: impl FnOnce() -> Document,
+    output: &Output,
+) -> Result<()> {
+    if let Some(path) = &arguments.report {
+        page().write(path)?;
+        output.print(format!("wrote {}", path.display()));
     }
+    Ok(())
 }
 
 /// Reads the samples of `input` and the calibration that belongs to them: `given`, else that of the recording or of the
@@ -145,7 +151,7 @@ fn with_gravity(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let report = calibration::calibrate(&samples, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(&samples))
+        write_page(arguments, || report.page(&samples), output)
     })
 }
 
@@ -161,7 +167,9 @@ fn several(arguments: &Calibrate, output: &Output) -> Result<u8> {
         sessions.iter().map(|session| session.samples(selection)).collect::<Result<_>>()?;
     let report = calibration::calibrate_several(&data, &options)?;
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page(), output)
+    })
 }
 
 /// Calibrates one stream with another of the same motion.
@@ -174,7 +182,6 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             &formats::load(&path, &reading(arguments).0)?,
             [arguments.reference, arguments.sensor],
             sensitivity,
-            None,
         )?
         .at_range(arguments.range),
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
@@ -185,10 +192,10 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
             ));
         }
     };
-    let report = calibration::compare_with_reference(&data, None, utc_s())?;
+    let report = calibration::compare_with_reference(&data, utc_s());
     let (path, file) = (arguments.output.as_deref(), report.file.clone());
     finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(&data))
+        write_page(arguments, || report.page(&data), output)
     })
 }
 
@@ -221,7 +228,9 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let file = |set| calibration.after(set, &report.source).of_device(samples.info().device_id);
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
-    finish(&report, &report.outcome, path, file, output, || write_page(arguments, || report.page()))
+    finish(&report, &report.outcome, path, file, output, || {
+        write_page(arguments, || report.page(), output)
+    })
 }
 
 /// Now, s since 1970 UTC.

@@ -57,13 +57,20 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
     let is_of_wimu =
         matches!(Input::parse(&arguments.input.to_string_lossy()), Ok(Input::Recording(_)));
     match (&arguments.with, is_of_wimu) {
-        (Some(file), _) if model.is_none() => corrected(arguments, file, to, output),
+        (Some(file), _) if model.is_none() => {
+            corrected(arguments, Some(file.as_path()), to, output)
+        }
         (_, true) if is_mcap(to) => topics(arguments, model.as_ref(), to, output),
         (_, true) => stream(arguments, model.as_ref(), to, output),
-        (_, false) => {
-            let remedy = "add --with CAL.json to correct it";
-            Err(usage("a recording of another program is converted with a calibration", remedy)
-                .at(arguments.input.display().to_string()))
+        (None, false) if Calibration::read(&arguments.input).is_ok() => {
+            let remedy = "choose its form with --to; `wimu convert --help` lists them";
+            let input = arguments.input.display().to_string();
+            Err(usage("this is a calibration and no recording", remedy).at(input))
+        }
+        (None, false) => corrected(arguments, None, to, output),
+        (Some(file), false) => {
+            let message = "this is the model of a link, for recordings of wimu";
+            Err(usage(message, "give --with CAL.json").at(file.display().to_string()))
         }
     }
 }
@@ -81,17 +88,19 @@ fn of_wimu_only(arguments: &Convert) -> Result<()> {
     Err(usage(message, "leave them out").at(arguments.input.display().to_string()))
 }
 
-/// Corrects a recording of any format.
-fn corrected(arguments: &Convert, file: &Path, to: &Path, output: &Output) -> Result<()> {
+/// Writes a recording of any format in SI units, corrected by a calibration if one is given.
+fn corrected(arguments: &Convert, file: Option<&Path>, to: &Path, output: &Output) -> Result<()> {
     of_wimu_only(arguments)?;
-    let calibration = Calibration::read(file)?;
+    let calibration = file.map(Calibration::read).transpose()?;
+    let sensor = calibration.as_ref().map(Calibration::sensor);
     let mut options = arguments.reading.options(false);
-    options.stored_zero_count = calibration.sensor().accelerometer.zero_count;
+    options.stored_zero_count = sensor.and_then(|sensor| sensor.accelerometer.zero_count);
     let recording = formats::load(&arguments.input, &options)?;
-    let corrected = CorrectedRecording::new(calibration.sensor(), &recording)?;
+    let corrected = CorrectedRecording::new(sensor, &recording)?;
     let rows = corrected.write(to)?;
     let file = to.display().to_string();
-    output.print(format!("{file}: {rows} corrected samples"));
+    let what = if sensor.is_some() { "corrected samples" } else { "samples, not corrected" };
+    output.print(format!("{file}: {rows} {what}"));
     output.findings(&[&corrected.findings[..], &recording.findings].concat());
     output.object(&json!({"file": file, "format": recording.format, "rows": rows}));
     Ok(())

@@ -56,7 +56,9 @@ pub fn run(arguments: &Demo, output: &Output) -> Result<()> {
     OutputFile::write(&recording, &outcome.recording)?;
     let charts = charts(&outcome);
     let mut page = report(&outcome, &charts, &story);
-    links.pictures(&mut page);
+    for chart in &links.charts() {
+        page.chart(chart);
+    }
     page.write(&arguments.report)?;
     if let Some(folder) = &arguments.pictures {
         chart::write_all(folder, &charts)?;

@@ -12,55 +12,16 @@ const SAME_ROOT_SIGMA2: f64 = 1.0;
 /// Roots whose χ² is larger than the best one's by more than this are ruled out (4.3 σ).
 const RULED_OUT: f64 = 18.0;
 
-/// One angular rate that fits a sample, and what follows from it.
+/// One angular rate that fits a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     /// ω, rad/s, body axes.
     pub rate_rad_s: [f64; 3],
-    /// ω̇, rad/s², body axes.
-    pub angular_acceleration_rad_s2: [f64; 3],
-    /// s, specific force at the weighted centre of the sensors, m/s², body axes.
-    pub specific_force_mps2: [f64; 3],
     /// Information about ω, the inverse of its covariance, (rad/s)⁻²: it vanishes at rest.
     pub information: [[f64; 3]; 3],
     /// Sum of the squared residuals that ω should explain, of unit variance: [`ArraySolver::rank`] less three degrees of
     /// freedom.
     pub chi_square: f64,
-}
-
-impl Hypothesis {
-    /// Covariance of ω, (rad/s)²; `None` where the sample says nothing about a component, at rest.
-    pub fn covariance(&self) -> Option<[[f64; 3]; 3]> {
-        inverse(&self.information.into()).map(Into::into)
-    }
-}
-
-/// All angular rates that fit a sample.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Solution {
-    hypotheses: Vec<Hypothesis, 8>,
-}
-
-impl Solution {
-    /// The hypotheses, each with its opposite next to it, the best fit first.
-    pub fn hypotheses(&self) -> impl Iterator<Item = &Hypothesis> {
-        self.hypotheses.iter()
-    }
-
-    /// Whether more than one angular rate fits: always, but for history (and at rest, where ω and
-    /// −ω are one).
-    pub fn is_ambiguous(&self) -> bool {
-        self.hypotheses.len() > 1
-    }
-
-    /// The hypothesis nearest to `rate_rad_s`, where it is expected from the history.
-    pub fn nearest(&self, rate_rad_s: [f64; 3]) -> Option<&Hypothesis> {
-        let expected = Vector3::from(rate_rad_s);
-        let distance = |h: &&Hypothesis| (Vector3::from(h.rate_rad_s) - expected).norm_squared();
-        self.hypotheses().min_by(|a, b| {
-            distance(a).partial_cmp(&distance(b)).unwrap_or(core::cmp::Ordering::Equal)
-        })
-    }
 }
 
 /// Fit at an angular rate.
@@ -71,18 +32,13 @@ struct Fit {
 }
 
 impl<const M: usize> ArraySolver<M> {
-    /// All angular rates that fit a sample, by [`ArraySolver::reduce`] and [`ArraySolver::roots_of`].
-    pub fn solve(&self, output_mps2: &[f64; M]) -> Solution {
-        self.roots_of(&self.reduce(output_mps2))
-    }
-
-    /// All angular rates that fit a reduced sample. Empty where the geometry shows no angular rate,
-    /// or the sample is not finite.
-    pub fn roots_of(&self, linear: &Linear) -> Solution {
-        let mut solution = Solution { hypotheses: Vec::new() };
+    /// All angular rates that fit a reduced sample, each with its opposite next to it, the best fit first: more than one, but
+    /// at rest. Empty where the geometry shows no angular rate, or the sample is not finite.
+    pub fn roots_of(&self, linear: &Linear) -> Vec<Hypothesis, 8> {
+        let mut roots = Vec::new();
         let finite = linear.z.iter().chain(&linear.theta).all(|v| v.is_finite());
         if self.rank < 3 || !finite {
-            return solution;
+            return roots;
         }
         let q = core::array::from_fn(|row| inner(&self.u_inverse[row], &linear.z));
         let mut starts = Vec::<Vector3<f64>, 4>::new();
@@ -100,16 +56,16 @@ impl<const M: usize> ArraySolver<M> {
             a.chi_square.partial_cmp(&b.chi_square).unwrap_or(core::cmp::Ordering::Equal)
         });
         let Some(best) = found.first().map(|h| h.chi_square) else {
-            return solution;
+            return roots;
         };
         for one in found.iter().filter(|h| h.chi_square <= best + RULED_OUT) {
             for hypothesis in [*one, self.complete(linear, -Vector3::from(one.rate_rad_s))] {
-                if !solution.hypotheses().any(|other| same(other, &hypothesis)) {
-                    let _ = solution.hypotheses.push(hypothesis);
+                if !roots.iter().any(|other| same(other, &hypothesis)) {
+                    let _ = roots.push(hypothesis);
                 }
             }
         }
-        solution
+        roots
     }
 
     /// The angular rate that fits a reduced sample near a start, rad/s: damped Gauss-Newton, equation (73).
@@ -151,11 +107,8 @@ impl<const M: usize> ArraySolver<M> {
 
     fn complete(&self, linear: &Linear, rate: Vector3<f64>) -> Hypothesis {
         let fit = self.evaluate(linear, &rate);
-        let [ax, ay, az, sx, sy, sz] = self.theta(linear, rate.into());
         Hypothesis {
             rate_rad_s: rate.into(),
-            angular_acceleration_rad_s2: [ax, ay, az],
-            specific_force_mps2: [sx, sy, sz],
             information: fit.information.into(),
             chi_square: fit.cost,
         }

@@ -57,6 +57,9 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
             Err(error) => refused.push((name, error)),
         }
     }
+    if let ([_], [(_, error)]) = (tables.as_slice(), refused.as_slice()) {
+        return Err(error.clone());
+    }
     if read == 0 {
         let reason = |(name, error): &(String, Problem)| format!("{name}: {}", error.text);
         let reasons: Vec<String> = refused.iter().take(8).map(reason).collect();

@@ -1,6 +1,7 @@
 //! Rows of a table, and what of them cannot be used.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 use super::header::{Table, splits_decimals};
 use super::layout::{Group, Layout, find_column};
@@ -10,6 +11,8 @@ use crate::{Code, Problem, Result};
 
 /// Rows after which a table is refused if most of them are unusable.
 const EARLY: u64 = 1000;
+/// Contents of a column that a message names, at most.
+const MOST_CONTENTS: usize = 8;
 
 /// Why a row cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,10 +57,7 @@ impl Count {
     pub fn check(&self, name: &str, table: &Table) -> Result<()> {
         let (unusable, rows) = (self.unusable, self.rows);
         if rows == 0 {
-            let error = Code::NoRows.error(
-                "there are no rows below the header, or none passes the filter",
-                "check the file and --where",
-            );
+            let error = Code::NoRows.error("there are no rows below the header", "check the file");
             return Err(error.at(name));
         }
         let Some((line, fault)) = self.first.filter(|_| 2 * unusable > rows) else {
@@ -116,6 +116,28 @@ fn text_of(fault: Fault, table: &Table) -> String {
         Fault::NoNumber => "a field is not a number".to_owned(),
         Fault::NoTime => "it has no time".to_owned(),
     }
+}
+
+/// The error of a filter that no row passes: it names the contents of its columns.
+///
+/// # Errors
+/// `file_failed`.
+pub fn nothing_passes(source: &Source, table: &Table, filter: &Filter) -> Result<Problem> {
+    let mut found = vec![BTreeSet::new(); filter.len()];
+    each_row(source, table, &[], u64::MAX, |fields, _| {
+        for ((column, _), found) in filter.iter().zip(&mut found) {
+            let text = fields.get(*column).filter(|_| found.len() <= MOST_CONTENTS);
+            found.extend(text.map(|text| text.to_string()));
+        }
+        None
+    })?;
+    let listed = filter.iter().zip(&found).map(|((column, _), found)| {
+        let first: Vec<&str> = found.iter().take(MOST_CONTENTS).map(String::as_str).collect();
+        let more = if found.len() > MOST_CONTENTS { ", …" } else { "" };
+        format!("`{}` is {}{more}", table.names[*column], first.join(", "))
+    });
+    let listed = listed.collect::<Vec<_>>().join("; ");
+    Ok(Code::NoRows.error("no row passes --where", format!("in the file {listed}")))
 }
 
 /// Calls `each` with the fields of each row that passes the filter and the fault of their number, and counts the fault that it

@@ -126,8 +126,11 @@ fn look_alike(group: &Group, samples: &[[f64; 3]], findings: &mut Vec<Problem>) 
         return None;
     }
     let (mps2, unit) = UNITS.into_iter().find(|(mps2, _)| is_one_g(samples, *mps2))?;
-    let text = format!("`{}` is in {unit}, by its magnitude at rest, and not as usual", group.name);
-    findings.push(Code::UnitInferred.warning(text).remedy("if not, give --units"));
+    let text = format!(
+        "`{}` is taken as {unit}: its magnitude at rest is 1 g only so, though this program usually writes another unit",
+        group.name
+    );
+    findings.push(Code::UnitInferred.warning(text).remedy("if that is wrong, give --units"));
     Some(mps2)
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_host::calibration::Calibration;
 use wimu_host::formats;
 use wimu_host::hand_eye::{HandEyeOptions, PoseStream, hand_eye};
-use wimu_host::motion::{MotionRecording, TableOptions};
+use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::{Code, Result};
 
 use crate::arguments::Align;
@@ -40,8 +40,8 @@ fn body(arguments: &Align, file: &Path) -> Result<PoseStream> {
             let mut load = arguments.reading.options(false);
             let accelerometer = calibration.as_ref().map(|sensor| &sensor.accelerometer);
             load.stored_zero_count = accelerometer.and_then(|own| own.zero_count);
-            let table = TableOptions { calibration, sensitivity_lsb_per_g: None };
-            PoseStream::of_inertial(&MotionRecording::of(&formats::load(file, &load)?, &table)?)
+            let table = ImuOptions { calibration, sensitivity_lsb_per_g: None };
+            PoseStream::of_inertial(&Imu::of(&formats::load(file, &load)?, &table)?)
         }
         read => read,
     }

@@ -51,7 +51,7 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -
         let code = super::finish(report, &report.outcome, path, file, output, || {
             let data = guided.recording()?;
             let samples = data.samples(Selection::default())?;
-            super::write_page(arguments, || report.page(&samples))
+            super::write_page(arguments, || report.page(&samples), output)
         })?;
         let answer =
             if arguments.push { Answer::Push } else { question(&lines, code == 0, output)? };

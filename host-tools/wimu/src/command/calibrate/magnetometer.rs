@@ -33,7 +33,7 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let file = report.parameters.as_ref().map(file);
     let path = arguments.output.as_deref();
     finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page())?;
+        write_page(arguments, || report.page(), output)?;
         match (&mut client, &report.parameters) {
             (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),

@@ -48,16 +48,16 @@ fn files(seed: u64) -> [(&'static str, String); 4] {
     }
     let mut ranges = "Time (s),Anchor,Range (m)\n".to_owned();
     for range in &recording.ranges {
-        let id = &recording.anchors[range.anchor].id;
-        let _ = writeln!(ranges, "{:.1},{id},{:.4}", range.time_s, range.range_m);
+        let id = &recording.anchors[range.source].id;
+        let _ = writeln!(ranges, "{:.1},{id},{:.4}", range.time_s, range.value[0]);
     }
     let strides = Strides::along(&CORNERS_M);
     let sensed = sensed(&strides, RATE_HZ, seed);
     let mut walk = "Time (s),Accelerometer X (m/s²),Accelerometer Y (m/s²),Accelerometer Z (m/s²),\
         Gyroscope X (rad/s),Gyroscope Y (rad/s),Gyroscope Z (rad/s)\n"
         .to_owned();
-    for (time_s, sample) in sensed.times_s.iter().zip(&sensed.samples) {
-        let _ = write!(walk, "{time_s:.2}");
+    for (time, sample) in sensed.samples.t.iter().zip(&sensed.samples.v) {
+        let _ = write!(walk, "{:.2}", time.s());
         for value in sample.force_mps2.iter().chain(sample.rate_rad_s.iter().flatten()) {
             let _ = write!(walk, ",{value:.5}");
         }

@@ -6,9 +6,9 @@ use serde::Serialize;
 use wimu_host::calibration::{Calibration, read_parameters};
 use wimu_host::capture::Capture;
 use wimu_host::formats;
+use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::inertial::aids::Mounting;
 use wimu_host::inertial::{Aids, Choice, InertialPath, navigate};
-use wimu_host::motion::{MotionRecording, TableOptions};
 use wimu_host::multi_range::{FullScales, Merge};
 use wimu_host::plural::counted;
 use wimu_host::{Code, Input, Problem, Result, navigation};
@@ -48,11 +48,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
 }
 
 /// A recording of a unit, of any format; of a board the longest start.
-pub fn unit(
-    arguments: &Navigate,
-    file: &Path,
-    calibration: Option<&PathBuf>,
-) -> Result<MotionRecording> {
+pub fn unit(arguments: &Navigate, file: &Path, calibration: Option<&PathBuf>) -> Result<Imu> {
     match Input::parse(&file.to_string_lossy())? {
         Input::Link(_) => Err(usage(
             "a LINK cannot be combined with a recording",
@@ -74,29 +70,25 @@ pub fn unit(
 }
 
 /// Reads a recording of one unit and corrects it with a calibration.
-fn calibrated(
-    arguments: &Navigate,
-    file: &Path,
-    calibration: Option<&PathBuf>,
-) -> Result<MotionRecording> {
+fn calibrated(arguments: &Navigate, file: &Path, calibration: Option<&PathBuf>) -> Result<Imu> {
     let calibration = calibration.map(|file| Calibration::read(file)).transpose()?;
     let calibration = calibration.map(|file| file.sensor().clone());
     let mut load = arguments.reading.options(false);
     let accelerometer = calibration.as_ref().map(|sensor| &sensor.accelerometer);
     load.stored_zero_count = accelerometer.and_then(|own| own.zero_count);
-    let options = TableOptions { calibration, sensitivity_lsb_per_g: arguments.sensitivity };
+    let options = ImuOptions { calibration, sensitivity_lsb_per_g: arguments.sensitivity };
     let mut recording = formats::load(file, &load)?;
     if arguments.aids.setup.full_scales_g.is_empty() {
-        return MotionRecording::of(&recording, &options);
+        return Imu::of(&recording, &options);
     }
     for other in &arguments.boards {
         recording.add_accelerometer(&formats::load(other, &load)?)?;
     }
     let scales = FullScales::of(&arguments.aids.setup.full_scales_g)?;
     let Some(merge) = Merge::of(&recording, &scales)? else {
-        return MotionRecording::of(&recording, &options);
+        return Imu::of(&recording, &options);
     };
-    let mut motion = MotionRecording::of(&merge.recording, &options)?;
+    let mut motion = Imu::of(&merge.recording, &options)?;
     motion.findings.splice(0..0, merge.findings);
     Ok(motion)
 }
@@ -104,7 +96,7 @@ fn calibrated(
 /// Computes, prints and writes the path of one unit; returns its object.
 pub fn one_unit(
     arguments: &Navigate,
-    recording: &MotionRecording,
+    recording: &Imu,
     source: String,
     output: &Output,
 ) -> Result<Found> {

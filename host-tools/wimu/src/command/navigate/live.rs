@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use wimu_host::decode::{Arrival, Event};
+use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::{Aid, AidLink, AidUse, Choice, LeastDelay, Live, PathPoint};
 use wimu_host::localization::{RangeRecording, Ranging};
 use wimu_host::monitor::{Reading, Readings};
-use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::{Code, Input, Problem, Result};
 
 use super::inertial::{aided_choice, choice, mounting, present};
@@ -112,7 +112,7 @@ impl Aiding {
             return Ok(Self::Table(aids, Vec::new()));
         };
         let read = RangeRecording::read(from, anchors)?.delayed(mounting.delay_s);
-        let aids = read.ranges.iter().map(|range| range.aid(&mounting)).collect();
+        let aids = read.ranges.iter().map(|range| range.mounted(&mounting)).collect();
         Ok(Self::Table(aids, read.findings))
     }
 
@@ -160,7 +160,7 @@ struct Session {
 impl Session {
     fn new(choice: &Choice, name: &str, late_s: f64) -> Self {
         let choice = choice.clone();
-        let of = MotionRecording::new(name, Vec::new(), Vec::new());
+        let of = Imu::new(name);
         Self {
             live: Live::new(choice.clone(), of, late_s),
             choice,
@@ -192,13 +192,13 @@ impl Session {
 }
 
 /// A reading as the estimators take it: its field where it is calibrated.
-pub(super) fn sample(reading: &Reading) -> UnitSample {
+pub(super) fn sample(reading: &Reading) -> Sample {
     let field = reading.field.filter(|field| field.calibrated);
-    UnitSample {
+    Sample {
         step_s: 0.0,
-        force_mps2: reading.specific_force.0,
-        rate_rad_s: reading.angular_rate,
-        field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3)),
+        force_mps2: reading.specific_force.0.into(),
+        rate_rad_s: reading.angular_rate.map(Into::into),
+        field_ut: field.map(|field| field.nt.map(|nt| nt * 1e-3).into()),
     }
 }
 

@@ -5,8 +5,8 @@ use std::thread;
 
 use serde_json::{Value, json};
 use wimu_host::decode::{Arrival, Event};
+use wimu_host::imu::{self, Imu};
 use wimu_host::monitor::Readings;
-use wimu_host::motion::{MotionRecording, UnitSample};
 use wimu_host::relative::{Body, LiveRelative, RelativeChoice, RelativePoint};
 use wimu_host::{Code, LinkUrl, Problem, Result};
 
@@ -42,7 +42,7 @@ fn line(point: &RelativePoint, accurate: bool) -> String {
 
 /// What a unit sends.
 enum Message {
-    Sample { time_s: f64, arrived_s: f64, sample: UnitSample },
+    Sample { time_s: f64, arrived_s: f64, sample: imu::Sample },
     Restart,
     Ended(Problem),
 }
@@ -65,7 +65,7 @@ pub fn run(
     // Before the threads, which share its flag.
     interrupted()?;
     let begin = || {
-        let of = |name: &String| MotionRecording::new(name, Vec::new(), Vec::new());
+        let of = |name: &String| Imu::new(name);
         LiveRelative::new(choice, names.each_ref().map(of))
     };
     let (mut live, mut points, mut ended) = (begin(), Vec::new(), Ok(()));

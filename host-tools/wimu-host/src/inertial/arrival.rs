@@ -1,6 +1,6 @@
 //! Times of sampling from times of arrival.
 
-use crate::motion::median_step_s;
+use super::unit::median_step_s;
 use crate::stats::median;
 
 /// Steps that differ from the median by more than this fraction are uneven, ...

@@ -5,11 +5,9 @@
 mod bus;
 mod driver;
 mod registers;
-mod self_test;
 mod settings;
 
 pub use bus::{Address, I2cBus};
 pub use driver::{Adxl345, FifoLevel};
-pub use self_test::SelfTest;
 pub use settings::{DataFormat, Fifo, Interrupts, Justify, Range, Rate, Resolution, Setup};
 pub use wimu_registers::{Bus, Error, SpiBus};

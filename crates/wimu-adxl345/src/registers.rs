@@ -16,9 +16,7 @@ pub(crate) const FIFO_STATUS: u8 = 0x39;
 
 pub(crate) const BW_RATE_LOW_POWER: u8 = 1 << 4;
 pub(crate) const POWER_CTL_MEASURE: u8 = 1 << 3;
-pub(crate) const DATA_FORMAT_SELF_TEST: u8 = 1 << 7;
 pub(crate) const DATA_FORMAT_FULL_RES: u8 = 1 << 3;
 pub(crate) const DATA_FORMAT_JUSTIFY: u8 = 1 << 2;
-pub(crate) const FIFO_CTL_FIFO: u8 = 0b01 << 6;
 pub(crate) const FIFO_CTL_STREAM: u8 = 0b10 << 6;
 pub(crate) const FIFO_STATUS_ENTRIES: u8 = 0x3F;

@@ -17,12 +17,7 @@ pub enum Range {
 impl Range {
     /// Its code: 0 for ±2 *g* to 3 for ±16 *g*.
     const fn code(self) -> u8 {
-        match self {
-            Self::G2 => 0,
-            Self::G4 => 1,
-            Self::G8 => 2,
-            Self::G16 => 3,
-        }
+        self as u8
     }
 }
 
@@ -150,14 +145,6 @@ impl Rate {
     pub const fn has_low_power(self) -> bool {
         matches!(self.code(), 0x07..=0x0C)
     }
-
-    /// The fastest rate that the datasheet recommends on an I²C bus of `bus_hz`: 800 Hz at
-    /// 400 kHz, and in proportion; `None` below 3 kHz. At higher rates samples may be lost or noisier.
-    pub fn fastest_on_i2c(bus_hz: u32) -> Option<Self> {
-        let fits =
-            |rate: &Self| 1_000_000_000 / u64::from(rate.period_ns()) <= u64::from(bus_hz) / 500;
-        Self::ALL.into_iter().rev().find(fits)
-    }
 }
 
 /// Mode of the FIFO.
@@ -172,11 +159,6 @@ pub enum Fifo {
         /// [`Interrupts::WATERMARK`] is active from this number of samples on, 1..=31.
         watermark: u8,
     },
-    /// Stops when it holds 32 samples.
-    UntilFull {
-        /// As in `Stream`.
-        watermark: u8,
-    },
 }
 
 impl Fifo {
@@ -184,7 +166,6 @@ impl Fifo {
         match self {
             Self::Bypass => 0,
             Self::Stream { watermark } => FIFO_CTL_STREAM | watermark.clamp(1, 31),
-            Self::UntilFull { watermark } => FIFO_CTL_FIFO | watermark.clamp(1, 31),
         }
     }
 }

@@ -5,6 +5,7 @@
 #[cfg(test)]
 extern crate std;
 
+mod board;
 #[cfg(feature = "time")]
 mod clock;
 mod flash;

@@ -11,7 +11,7 @@
 /// | `wireless` | those of the wireless link; `(NoLink, NoLink)` without one |
 ///
 /// Expands to
-/// - `Shared` and `Node`, the types of the node,
+/// - `Shared`, `Board` and `Node`, the types of the node,
 /// - `place(board, &'static Shared) -> &'static mut Node`, which builds the node in a `static`,
 /// - `spawn(node, above: SendSpawner, others: Spawner)`, which spawns the tasks, the sampler with `above`.
 ///
@@ -25,23 +25,47 @@ macro_rules! tasks {
         cable: ($reader:ty, $writer:ty),
         wireless: ($wireless_reader:ty, $wireless_writer:ty),
     ) => {
-        $crate::node_tasks!(
+        use $crate::wimu_node as node;
+
+        /// Memory of the node's tasks.
+        pub type Shared = node::Shared<$crate::Mutex, <$sensor as node::InertialSensor>::Sample>;
+        /// What the board provides.
+        pub type Board = node::Board<
             $sensor,
             $timer,
             $store,
             $reader,
             $writer,
             $wireless_reader,
-            $wireless_writer
-        );
-        $crate::link_tasks!(listen, talk, $reader, $writer, $timer);
-        $crate::link_tasks!(
-            listen_wireless,
-            talk_wireless,
+            $wireless_writer,
+        >;
+        /// The board's node.
+        pub type Node = node::Node<
+            'static,
+            $sensor,
+            $timer,
+            $store,
+            $reader,
+            $writer,
             $wireless_reader,
             $wireless_writer,
-            $timer
-        );
+            $crate::Mutex,
+        >;
+
+        /// Builds the node of a board in a `static`.
+        pub fn place(board: Board, shared: &'static Shared) -> &'static mut Node {
+            static NODE: ::static_cell::StaticCell<Node> = ::static_cell::StaticCell::new();
+            NODE.init_with(|| board.split(shared))
+        }
+
+        $crate::node_tasks! {
+            sample: node::Sampler<'static, $sensor, $timer, $crate::Mutex>,
+            control: node::Control<'static, $sensor, $timer, $store, $crate::Mutex>,
+            listen: node::LinkReader<'static, $reader, $timer, $crate::Mutex>,
+            talk: node::LinkWriter<'static, $writer, $crate::Mutex>,
+            listen_wireless: node::LinkReader<'static, $wireless_reader, $timer, $crate::Mutex>,
+            talk_wireless: node::LinkWriter<'static, $wireless_writer, $crate::Mutex>,
+        }
 
         /// Spawns the node's tasks, the sampler with `above`.
         pub fn spawn(
@@ -62,97 +86,14 @@ macro_rules! tasks {
     };
 }
 
-/// The part of [`tasks!`] for the node, its sampler and its control task.
+/// The part of [`tasks!`] that runs the parts of the node.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! node_tasks {
-    (
-        $sensor:ty, $timer:ty, $store:ty, $reader:ty, $writer:ty, $wireless_reader:ty, $wireless_writer:ty
-    ) => {
-        /// Memory of the node's tasks.
-        pub type Shared = $crate::wimu_node::Shared<
-            $crate::Mutex,
-            <$sensor as $crate::wimu_node::InertialSensor>::Sample,
-        >;
-        /// The board's node.
-        pub type Node = $crate::wimu_node::Node<
-            'static,
-            $sensor,
-            $timer,
-            $store,
-            $reader,
-            $writer,
-            $wireless_reader,
-            $wireless_writer,
-            $crate::Mutex,
-        >;
-
-        /// Builds the node of a board in a `static`.
-        pub fn place(
-            board: $crate::wimu_node::Board<
-                $sensor,
-                $timer,
-                $store,
-                $reader,
-                $writer,
-                $wireless_reader,
-                $wireless_writer,
-            >,
-            shared: &'static Shared,
-        ) -> &'static mut Node {
-            static NODE: ::static_cell::StaticCell<Node> = ::static_cell::StaticCell::new();
-            NODE.init_with(|| board.split(shared))
-        }
-
+    ($($name:ident: $part:ty,)*) => {$(
         #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn sample(
-            sampler: &'static mut $crate::wimu_node::Sampler<
-                'static,
-                $sensor,
-                $timer,
-                $crate::Mutex,
-            >,
-        ) -> ! {
-            sampler.run().await
+        async fn $name(part: &'static mut $part) -> ! {
+            part.run().await
         }
-
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn control(
-            control: &'static mut $crate::wimu_node::Control<
-                'static,
-                $sensor,
-                $timer,
-                $store,
-                $crate::Mutex,
-            >,
-        ) -> ! {
-            control.run().await
-        }
-    };
-}
-
-/// The part of [`tasks!`] for a link.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! link_tasks {
-    ($listen:ident, $talk:ident, $reader:ty, $writer:ty, $timer:ty) => {
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn $listen(
-            reader: &'static mut $crate::wimu_node::LinkReader<
-                'static,
-                $reader,
-                $timer,
-                $crate::Mutex,
-            >,
-        ) -> ! {
-            reader.run().await
-        }
-
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn $talk(
-            writer: &'static mut $crate::wimu_node::LinkWriter<'static, $writer, $crate::Mutex>,
-        ) -> ! {
-            writer.run().await
-        }
-    };
+    )*};
 }

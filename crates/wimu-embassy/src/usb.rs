@@ -98,3 +98,43 @@ pub async fn run_usb(
     };
     join4(device.run(), open, send, receive).await.0
 }
+
+/// Defines a module `cable` whose `start(spawner, driver, device_id)` runs the USB socket, of `$driver`, as the cable and
+/// returns its halves. `$numbers` are those of vendor and product. Call it once.
+#[macro_export]
+macro_rules! usb_cable {
+    ($driver:ty, $numbers:expr, $product:expr) => {
+        /// The USB socket as the cable.
+        mod cable {
+            use super::*;
+
+            pub type Reader = $crate::PacketReader<'static>;
+            pub type Writer = $crate::PacketWriter<'static>;
+
+            static LINK: $crate::PacketLink = $crate::PacketLink::new();
+
+            #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
+            async fn run(
+                driver: $driver,
+                memory: &'static mut $crate::UsbMemory,
+                device_id: u64,
+            ) -> ! {
+                let (numbers, product) = ($numbers, $product);
+                let identity = $crate::UsbIdentity { numbers, product, device_id };
+                $crate::run_usb(driver, memory, identity, &LINK).await
+            }
+
+            pub fn start(
+                spawner: $crate::embassy_executor::Spawner,
+                driver: $driver,
+                device_id: u64,
+            ) -> (Reader, Writer) {
+                static MEMORY: ::static_cell::StaticCell<$crate::UsbMemory> =
+                    ::static_cell::StaticCell::new();
+                let memory = MEMORY.init_with(Default::default);
+                spawner.spawn(run(driver, memory, device_id).unwrap());
+                LINK.split()
+            }
+        }
+    };
+}

@@ -50,7 +50,7 @@ impl Model {
 /// [`read`](Self::read) reports a gap.
 #[derive(Debug)]
 pub struct Lsm6dso<B> {
-    pub(crate) registers: Registers<B>,
+    registers: Registers<B>,
     model: Model,
     pairing: Pairing,
     /// Whether every word since the last batch can be accounted for.
@@ -145,9 +145,8 @@ impl<B: Bus> Lsm6dso<B> {
         }
         let settling_us = SETTLING * (setup.rate.period_ns() / 1000);
         delay.delay_us(TURN_ON_US + settling_us).await;
-        let temperature = on(setup.temperature, FIFO_CTRL4_TEMPERATURE);
         let (register, fifo) = match self.model {
-            Model::Lsm6dso => (FIFO_CTRL4, FIFO_CTRL4_CONTINUOUS | temperature),
+            Model::Lsm6dso => (FIFO_CTRL4, FIFO_CTRL4_CONTINUOUS),
             Model::Lsm6ds3trC => (TR_C_FIFO_CTRL5, rate << 3 | FIFO_CTRL4_CONTINUOUS),
         };
         self.registers.write(register, fifo).await?;
@@ -157,7 +156,7 @@ impl<B: Bus> Lsm6dso<B> {
     }
 
     /// Settings of the interface after a reset: block data update, no MIPI I3C, I²C only if used.
-    pub(crate) async fn start_interface(&mut self) -> Result<(), Error<B::Error>> {
+    async fn start_interface(&mut self) -> Result<(), Error<B::Error>> {
         if self.model == Model::Lsm6dso {
             self.registers.write(CTRL9_XL, CTRL9_I3C_DISABLE).await?;
         }
@@ -227,7 +226,7 @@ impl<B: Bus> Lsm6dso<B> {
             self.pairing = Pairing::default();
         }
         for word in bytes.as_chunks().0 {
-            match self.pairing.take(*word, &mut batch.temperature) {
+            match self.pairing.take(*word) {
                 Ok(sample) => {
                     if let (Some(sample), Some(next)) = (sample, samples.get_mut(batch.count)) {
                         *next = sample;
@@ -299,17 +298,6 @@ impl<B: Bus> Lsm6dso<B> {
         };
         let status = FifoStatus { words, overrun: high & FIFO_STATUS2_OVERRUN != 0 };
         Ok((status, u16::from_le_bytes([place, place_high & 0b11]) % TR_C_WORDS))
-    }
-
-    /// Reads the newest sample from the output registers, past the FIFO. The words of the two sensors
-    /// may belong to neighbouring samples.
-    ///
-    /// # Errors
-    /// [`Error::NotAnswering`], [`Error::Bus`].
-    pub async fn newest(&mut self) -> Result<Sample, Error<B::Error>> {
-        let mut bytes = [0; 12];
-        self.registers.read(OUTX_L_G, &mut bytes).await?;
-        Ok(pair(bytes))
     }
 
     /// Reads the temperature, LSB of 1/256 K from 25 °C; it changes 52 times a second at most.

@@ -10,8 +10,6 @@ pub(crate) const DEPTH: u16 = 512;
 /// TAG_SENSOR.
 const GYROSCOPE: u8 = 0x01;
 const ACCELEROMETER: u8 = 0x02;
-const TEMPERATURE: u8 = 0x03;
-const TIMESTAMP: u8 = 0x04;
 
 /// Counts of x, y, z, low byte first.
 pub(crate) fn axes([x0, x1, y0, y1, z0, z1]: [u8; 6]) -> [i16; 3] {
@@ -27,14 +25,6 @@ pub struct Sample {
     pub acceleration: [i16; 3],
     /// Angular rate, LSB of [`AngularRateRange::udps_per_lsb`](crate::AngularRateRange::udps_per_lsb).
     pub angular_rate: [i16; 3],
-}
-
-impl Sample {
-    /// Whether an axis of the accelerometer and whether an axis of the gyroscope is at full scale.
-    pub fn saturated(&self) -> [bool; 2] {
-        let full = |axis: &i16| matches!(*axis, i16::MIN | i16::MAX);
-        [self.acceleration, self.angular_rate].map(|axes| axes.iter().any(full))
-    }
 }
 
 /// Words of a sample of the LSM6DS3TR-C: three axes of the gyroscope, then of the accelerometer.
@@ -63,8 +53,6 @@ pub struct Batch {
     pub fault: Option<FifoFault>,
     /// Samples that the FIFO still held after the burst.
     pub samples_left: u16,
-    /// Newest temperature in the burst, LSB of 1/256 K from 25 °C.
-    pub temperature: Option<i16>,
 }
 
 /// Why words of the FIFO could not be used.
@@ -131,11 +119,7 @@ impl Pairing {
     ///
     /// # Errors
     /// [`FifoFault`]. Samples that are completed later do not follow those before without a gap.
-    pub(crate) fn take(
-        &mut self,
-        word: [u8; WORD],
-        temperature: &mut Option<i16>,
-    ) -> Result<Option<Sample>, FifoFault> {
+    pub(crate) fn take(&mut self, word: [u8; WORD]) -> Result<Option<Sample>, FifoFault> {
         let [tag, data @ ..] = word;
         if tag.count_ones() % 2 != 0 {
             *self = Self::default();
@@ -145,12 +129,6 @@ impl Pairing {
             sensor @ (GYROSCOPE | ACCELEROMETER) => {
                 self.join(Half { sensor, counter: tag >> 1 & 0b11, axes: axes(data) })
             }
-            TEMPERATURE => {
-                *temperature = Some(axes(data)[0]);
-                Ok(None)
-            }
-            // Its oscillator is that of the samples: it says no more than their number.
-            TIMESTAMP => Ok(None),
             _ => {
                 *self = Self::default();
                 Err(FifoFault::UnknownTag { tag })

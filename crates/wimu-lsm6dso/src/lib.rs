@@ -6,12 +6,10 @@ mod bus;
 mod driver;
 mod fifo;
 mod registers;
-mod self_test;
 mod settings;
 
 pub use bus::{Address, I2cBus};
 pub use driver::{Lsm6dso, Model};
 pub use fifo::{Batch, FifoFault, Sample};
-pub use self_test::SelfTest;
 pub use settings::{AccelerationRange, AngularRateRange, Power, Rate, Setup};
 pub use wimu_registers::{Bus, Error, SpiBus};

@@ -12,12 +12,10 @@ pub(crate) const CTRL1_XL: u8 = 0x10;
 pub(crate) const CTRL2_G: u8 = 0x11;
 pub(crate) const CTRL3_C: u8 = 0x12;
 pub(crate) const CTRL4_C: u8 = 0x13;
-pub(crate) const CTRL5_C: u8 = 0x14;
 pub(crate) const CTRL6_C: u8 = 0x15;
 pub(crate) const CTRL7_G: u8 = 0x16;
 pub(crate) const CTRL9_XL: u8 = 0x18;
 pub(crate) const OUT_TEMP_L: u8 = 0x20;
-pub(crate) const OUTX_L_G: u8 = 0x22;
 pub(crate) const FIFO_STATUS1: u8 = 0x3A;
 pub(crate) const FIFO_DATA_OUT_TAG: u8 = 0x78;
 
@@ -32,15 +30,11 @@ pub(crate) const TR_C_STATUS2_EMPTY: u8 = 1 << 4;
 pub(crate) const TR_C_FIFO_CTRL3_BOTH: u8 = 0b001_001;
 
 pub(crate) const FIFO_CTRL4_CONTINUOUS: u8 = 0b110;
-/// Temperature in the FIFO at 1.6 Hz (ODR_T_BATCH).
-pub(crate) const FIFO_CTRL4_TEMPERATURE: u8 = 0b01 << 4;
 pub(crate) const INT1_CTRL_FIFO_TH: u8 = 1 << 3;
 pub(crate) const CTRL3_SW_RESET: u8 = 1;
 pub(crate) const CTRL3_IF_INC: u8 = 1 << 2;
 pub(crate) const CTRL3_BDU: u8 = 1 << 6;
 pub(crate) const CTRL4_I2C_DISABLE: u8 = 1 << 2;
-pub(crate) const CTRL5_ST_XL_POSITIVE: u8 = 0b01;
-pub(crate) const CTRL5_ST_G_POSITIVE: u8 = 0b01 << 2;
 /// XL_HM_MODE: high-performance mode of the accelerometer is off.
 pub(crate) const CTRL6_LOW_POWER: u8 = 1 << 4;
 /// G_HM_MODE: high-performance mode of the gyroscope is off.

@@ -151,8 +151,5 @@ pub struct Setup {
     /// Power mode of both sensors.
     pub power: Power,
     /// INT1 is high while the FIFO holds at least this number of samples; 1..=255, 0 counts as 1.
-    /// Temperatures in the FIFO let it rise earlier.
     pub watermark: u8,
-    /// Whether a temperature is put into the FIFO 1.6 times a second.
-    pub temperature: bool,
 }

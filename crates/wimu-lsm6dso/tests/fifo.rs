@@ -9,8 +9,6 @@ use crate::registers::{on_bus, read};
 
 const GYROSCOPE: u8 = 1;
 const ACCELEROMETER: u8 = 2;
-const TEMPERATURE: u8 = 3;
-const TIMESTAMP: u8 = 4;
 
 /// A word of `sensor` in sample `slot`, with the slot's number on every axis.
 fn word(sensor: u8, slot: i16) -> [u8; 7] {
@@ -63,18 +61,6 @@ fn pairs_are_joined_in_either_order_and_across_bursts() {
     // A driver that did not start the chip does not know what came before.
     assert!(read[0].0.gap && !read[1].0.gap);
     assert_eq!(read[1].1, [sample(1), sample(2)]);
-}
-
-#[test]
-fn temperatures_and_timestamps_may_come_between_the_words_of_a_pair() {
-    let stamp = word(TIMESTAMP, 3);
-    let mut celsius = word(TEMPERATURE, 3);
-    celsius[1..3].copy_from_slice(&(-512_i16).to_le_bytes());
-    let (batch, samples) =
-        &batches(&[&[stamp, word(GYROSCOPE, 0), celsius, stamp, word(ACCELEROMETER, 0)]])[0];
-    assert_eq!(*samples, [sample(0)]);
-    assert_eq!(batch.temperature, Some(-512));
-    assert_eq!(batch.fault, None);
 }
 
 #[test]

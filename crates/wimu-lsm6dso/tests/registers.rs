@@ -6,8 +6,8 @@ use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use embedded_hal_mock::eh1::spi;
 use wimu_lsm6dso::{
-    AccelerationRange, Address, AngularRateRange, Error, I2cBus, Lsm6dso, Power, Rate, Sample,
-    SelfTest, Setup, SpiBus,
+    AccelerationRange, Address, AngularRateRange, Error, I2cBus, Lsm6dso, Power, Rate, Setup,
+    SpiBus,
 };
 
 const AT: u8 = 0x6A;
@@ -37,7 +37,6 @@ const SETUP: Setup = Setup {
     rate: Rate::Hz52,
     power: Power::Low,
     watermark: 200,
-    temperature: true,
 };
 
 #[test]
@@ -112,7 +111,7 @@ fn spi_reads_set_bit_7_and_writes_do_not() {
         (0x0D, 0x08),
         (0x10, 0x34),
         (0x11, 0x32),
-        (0x0A, 0x16),
+        (0x0A, 0x06),
     ];
     for (register, value) in settings {
         expected.extend(write(register, value));
@@ -151,7 +150,6 @@ fn a_start_resets_the_chip_and_writes_every_setting() {
         rate: Rate::Hz6664,
         power: Power::High,
         watermark: 0,
-        temperature: false,
     };
     let started =
         on_bus(&expected, async |sensor| sensor.start(&setup, &mut NoopDelay::new()).await);
@@ -204,58 +202,7 @@ fn the_fifo_level_has_ten_bits_and_two_overrun_flags() {
 }
 
 #[test]
-fn output_registers_are_gyroscope_first_low_byte_first() {
-    let bytes = [1, 0, 2, 0, 0xFF, 0x7F, 4, 0, 5, 0, 0x00, 0x80];
-    let newest = on_bus(&[read(0x22, &bytes)], async |sensor| sensor.newest().await);
-    let sample = Sample { acceleration: [4, 5, i16::MIN], angular_rate: [1, 2, i16::MAX] };
-    assert_eq!(newest, Ok(sample));
-    assert_eq!(sample.saturated(), [true, true]);
-    assert_eq!(Sample::default().saturated(), [false, false]);
-}
-
-#[test]
 fn the_temperature_is_signed() {
     let lsb = on_bus(&[read(0x20, &[0x00, 0xFF])], async |sensor| sensor.temperature().await);
     assert_eq!(lsb, Ok(-256));
-}
-
-#[test]
-fn the_self_test_is_the_change_of_the_means() {
-    let bytes = |gyroscope: i16, accelerometer: i16| -> Vec<u8> {
-        let counts = [gyroscope, -gyroscope, gyroscope].into_iter().chain([
-            accelerometer,
-            -accelerometer,
-            8200,
-        ]);
-        counts.flat_map(i16::to_le_bytes).collect()
-    };
-    let reset = [write(0x01, 0), write(0x12, 0x05), read(0x12, &[0x04])];
-    let mut expected = reset.to_vec();
-    expected.extend([write(0x18, 0xE2), write(0x12, 0x44)]);
-    expected.extend([write(0x10, 0x38), write(0x11, 0x3C)]);
-    // Noise that cancels.
-    expected.extend([-2, -1, 0, 1, 2].map(|noise| read(0x22, &bytes(10 + noise, 100 + noise))));
-    expected.push(write(0x14, 0x05));
-    expected.extend([0; 5].map(|_| read(0x22, &bytes(5_010, 4_100))));
-    expected.extend(reset);
-    let test = on_bus(&expected, async |sensor| sensor.self_test(&mut NoopDelay::new()).await);
-    let test = test.expect("the bus works");
-    assert_eq!(test.acceleration, [4_000, -4_000, 0]);
-    assert_eq!(test.angular_rate, [5_000, -5_000, 5_000]);
-    assert_eq!(test.passed(), [[true, true, false], [true; 3]]);
-}
-
-#[test]
-fn self_test_limits_are_those_of_the_datasheet() {
-    let passed = |acceleration, angular_rate| {
-        SelfTest { acceleration: [acceleration; 3], angular_rate: [angular_rate; 3] }
-            .passed()
-            .map(|axes| axes[0])
-    };
-    // 50 and 1700 mg, 150 and 700 °/s.
-    assert_eq!(passed(409, 2_142), [false, false]);
-    assert_eq!(passed(410, 2_143), [true, true]);
-    assert_eq!(passed(-13_934, -10_000), [true, true]);
-    assert_eq!(passed(13_935, 10_001), [false, false]);
-    assert_eq!(passed(i32::MIN, i32::MIN), [false, false]);
 }

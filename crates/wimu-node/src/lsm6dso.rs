@@ -127,7 +127,6 @@ impl<B: Bus, D: DataReady, T: Timer, const TAGGED: bool> InertialSensor
                 Resolution::Normal | Resolution::High => Power::High,
             },
             watermark: self.fifo.watermark() as u8,
-            temperature: false,
         };
         self.device.check_identity().await.map_err(SensorFault::of_driver)?;
         let started = self.device.start(&setup, &mut Delay(&self.timer)).await;

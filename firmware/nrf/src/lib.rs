@@ -7,15 +7,26 @@ mod bus;
 mod clock;
 mod data_ready;
 
-use embassy_nrf::Peri;
-use embassy_nrf::pac;
+use embassy_nrf::config::{Config, HfclkSource};
+use embassy_nrf::interrupt::Priority;
 use embassy_nrf::peripherals::WDT;
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
+use embassy_nrf::{Peri, pac};
 use wimu_link::hello::ResetReason;
 
-pub use bus::Bus;
+pub use bus::{SensorBus, sensor_bus};
 pub use clock::{BoardTimer, start_clock};
 pub use data_ready::Line;
+
+/// The high-frequency clock from the crystal, which the device's clock needs; the interrupts of lines and time driver below
+/// a radio's and above the links'.
+pub fn config() -> Config {
+    let mut config = Config::default();
+    config.hfclk_source = HfclkSource::ExternalXtal;
+    config.gpiote_interrupt_priority = Priority::P1;
+    config.time_interrupt_priority = Priority::P2;
+    config
+}
 
 /// The reset reason, which is cleared.
 pub fn reset_reason() -> ResetReason {

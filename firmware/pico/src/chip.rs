@@ -3,7 +3,7 @@
 use embassy_rp::Peri;
 use embassy_rp::flash::{Blocking, Flash};
 use embassy_rp::interrupt::{Interrupt, InterruptExt, Priority};
-use embassy_rp::peripherals::FLASH;
+use embassy_rp::peripherals::{FLASH, WATCHDOG};
 use embassy_rp::watchdog::{ResetReason as WatchdogReason, Watchdog};
 use wimu_embassy::BlockingFlash;
 use wimu_link::hello::ResetReason;
@@ -64,5 +64,14 @@ pub fn set_priorities() {
         [Interrupt::SWI_IRQ_1, Interrupt::UART0_IRQ, Interrupt::UART1_IRQ, Interrupt::USBCTRL_IRQ]
     {
         lower.set_priority(Priority::P2);
+    }
+}
+
+/// Resets the chip.
+pub fn restart() -> ! {
+    // SAFETY: the callers do not use the watchdog again.
+    Watchdog::new(unsafe { WATCHDOG::steal() }).trigger_reset();
+    loop {
+        cortex_m::asm::nop();
     }
 }

@@ -5,7 +5,8 @@
 #![no_main]
 
 mod chip;
-mod data_ready;
+#[path = "../../shared/edge_time.rs"]
+mod edge_time;
 mod sender;
 
 // Where the log goes: to the debug probe.
@@ -17,7 +18,7 @@ use embassy_rp::clocks::RoscRng;
 use embassy_rp::gpio::{Input, Level, Output, Pull};
 use embassy_rp::i2c::{self, I2c};
 use embassy_rp::interrupt;
-use embassy_rp::peripherals::{I2C0, UART0, WATCHDOG};
+use embassy_rp::peripherals::{I2C0, UART0};
 use embassy_rp::uart::{self, BufferedUart, BufferedUartRx};
 use embassy_rp::watchdog::Watchdog;
 use embassy_time::Duration;
@@ -27,7 +28,7 @@ use wimu_link::hello::{Capabilities, Part, board};
 use wimu_node::{Board, FlashStore, TimeoutBus};
 
 use crate::chip::StoreFlash;
-use crate::data_ready::Line;
+use crate::edge_time::Line;
 use crate::sender::Sender;
 
 bind_interrupts!(struct Interrupts {
@@ -36,7 +37,7 @@ bind_interrupts!(struct Interrupts {
     #[cfg(not(feature = "usb"))]
     UART1_IRQ => uart::BufferedInterruptHandler<embassy_rp::peripherals::UART1>;
     #[cfg(feature = "usb")]
-    USBCTRL_IRQ => embassy_rp::usb::InterruptHandler<embassy_rp::peripherals::USB>;
+    USBCTRL_IRQ => embassy_rp::usb::InterruptHandler<USB>;
 });
 
 type I2cBus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
@@ -44,54 +45,42 @@ type I2cBus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
 use wimu_node::{Adxl345 as Driver, wimu_adxl345::Address, wimu_adxl345::I2cBus as Bus};
 #[cfg(not(feature = "adxl345"))]
 use wimu_node::{Mpu6050 as Driver, wimu_mpu6050::Address, wimu_mpu6050::I2cBus as Bus};
-type Sensor = Driver<Bus<I2cBus>, Line, BoardTimer>;
-
-// The halves of the cable.
-#[cfg(feature = "usb")]
-type Receiver = wimu_embassy::PacketReader<'static>;
-#[cfg(feature = "usb")]
-type Transmitter = wimu_embassy::PacketWriter<'static>;
-#[cfg(not(feature = "usb"))]
-use {BufferedUartRx as Receiver, Sender as Transmitter};
-
-/// The tasks of the node.
-mod tasks {
-    use super::Transmitter;
-    use super::{BoardTimer, BufferedUartRx, FlashStore, Receiver, Sender, Sensor, StoreFlash};
-    wimu_embassy::tasks! {
-        sensor: Sensor,
-        timer: BoardTimer,
-        store: FlashStore<StoreFlash>,
-        cable: (Receiver, Transmitter),
-        wireless: (BufferedUartRx, Sender),
-    }
-}
+type Sensor = Driver<Bus<I2cBus>, Line<Input<'static>>, BoardTimer>;
 
 wimu_cortex_m::board! {
     start: start,
-    restart: restart,
+    restart: chip::restart,
     sampling: SWI_IRQ_1,
     timer: BoardTimer,
+    sensor: Sensor,
+    store: FlashStore<StoreFlash>,
+    cable: (cable::Reader, cable::Writer),
+    wireless: (BufferedUartRx, Sender),
     watchdog: Watchdog, |watchdog| watchdog.feed(WATCHDOG_TIME), LIMITS,
     light: (Output<'static>, Input<'static>), lit: true,
 }
 
-/// The host of a USB cable can stop it.
 #[cfg(feature = "usb")]
-const LIMITS: [u64; 4] = wimu_embassy::without_limit([2]);
+use embassy_rp::{peripherals::USB, usb::Driver as UsbDriver};
+// The numbers are those of a serial port in the Pico's own SDK.
+#[cfg(feature = "usb")]
+wimu_embassy::usb_cable!(UsbDriver<'static, USB>, (0x2E8A, 0x000A), "Pico");
 #[cfg(not(feature = "usb"))]
-const LIMITS: [u64; 4] = wimu_embassy::LIMITS_US;
+mod cable {
+    pub use {crate::sender::Sender as Writer, embassy_rp::uart::BufferedUartRx as Reader};
+}
+
+/// The host of a USB cable can stop it.
+const LIMITS: [u64; 4] =
+    if cfg!(feature = "usb") { wimu_embassy::without_limit([2]) } else { wimu_embassy::LIMITS_US };
 /// Timeout of the watchdog, longer than an erase of a sector of the flash.
 const WATCHDOG_TIME: Duration = Duration::from_secs(2);
 /// Longest erase of a sector (datasheet), ms.
 const PAUSE_MS: u16 = 400;
-/// Rate of the UARTs unless another one is stored for the wireless link, bit/s, 8N1.
-const BAUD: u32 = 115_200;
 
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
-    static SHARED: tasks::Shared = tasks::Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
 
     let chip = embassy_rp::init(Default::default());
@@ -110,16 +99,16 @@ fn start(spawner: Spawner) {
     #[cfg(not(feature = "usb"))]
     let cable = {
         let [c, d] = _cable;
-        uart.baudrate = BAUD;
         let (uart1, tx, rx) = (chip.UART1, chip.PIN_8, chip.PIN_9);
-        sender::halves(
-            BufferedUart::new(uart1, tx, rx, Interrupts, c, d, uart),
-            interrupt::UART1_IRQ,
-        )
+        let cable = BufferedUart::new(uart1, tx, rx, Interrupts, c, d, uart);
+        sender::halves(cable, interrupt::UART1_IRQ)
     };
     #[cfg(feature = "usb")]
-    let cable = usb::start(spawner, chip.USB, device_id);
-    uart.baudrate = wimu_node::line_rate(&mut store).map_or(BAUD, sender::nearest_rate);
+    let cable = cable::start(spawner, UsbDriver::new(chip.USB, Interrupts), device_id);
+    // 115,200 bits/s, 8N1, unless another rate is stored.
+    if let Some(baud) = wimu_node::line_rate(&mut store) {
+        uart.baudrate = sender::nearest_rate(baud);
+    }
     let (uart0, tx, rx) = (chip.UART0, chip.PIN_0, chip.PIN_1);
     let wireless = BufferedUart::new(uart0, tx, rx, Interrupts, a, b, uart);
     // Not a qualified cryptographic source: should it fail, the boot count makes sessions differ.
@@ -141,53 +130,8 @@ fn start(spawner: Spawner) {
         wireless: sender::halves(wireless, interrupt::UART0_IRQ),
         nearest_rate: Some(sender::nearest_rate),
     };
-    let node = tasks::place(board, &SHARED);
     watchdog.start(WATCHDOG_TIME);
     chip::set_priorities();
-    let led = Output::new(chip.PIN_25, Level::Low);
-    let key_lost = Input::new(chip.PIN_22, Pull::Up);
-    tasks::spawn(node, SAMPLING.start(interrupt::SWI_IRQ_1), spawner);
-    spawner.spawn(supervise(&SHARED, watchdog).unwrap());
-    spawner.spawn(show(&SHARED, begun.is_safe_mode(), led, key_lost).unwrap());
-}
-
-/// The USB socket as the cable.
-#[cfg(feature = "usb")]
-mod usb {
-    use embassy_rp::Peri;
-    use embassy_rp::peripherals::USB;
-    use embassy_rp::usb::Driver;
-    use wimu_embassy::{PacketLink, UsbIdentity, UsbMemory};
-
-    use super::{Interrupts, Receiver, Spawner, StaticCell, Transmitter};
-
-    static CABLE: PacketLink = PacketLink::new();
-    /// Those of a serial port in the Pico's own SDK.
-    const NUMBERS: (u16, u16) = (0x2E8A, 0x000A);
-
-    #[embassy_executor::task]
-    async fn run(chip: Peri<'static, USB>, memory: &'static mut UsbMemory, device_id: u64) -> ! {
-        let identity = UsbIdentity { numbers: NUMBERS, product: "Pico", device_id };
-        wimu_embassy::run_usb(Driver::new(chip, Interrupts), memory, identity, &CABLE).await
-    }
-
-    pub fn start(
-        spawner: Spawner,
-        chip: Peri<'static, USB>,
-        device_id: u64,
-    ) -> (Receiver, Transmitter) {
-        static MEMORY: StaticCell<UsbMemory> = StaticCell::new();
-        // Spawned once.
-        spawner.spawn(run(chip, MEMORY.init_with(Default::default), device_id).unwrap());
-        CABLE.split()
-    }
-}
-
-/// Resets the chip.
-fn restart() -> ! {
-    // SAFETY: the callers do not use the watchdog again.
-    Watchdog::new(unsafe { WATCHDOG::steal() }).trigger_reset();
-    loop {
-        cortex_m::asm::nop();
-    }
+    let light = (Output::new(chip.PIN_25, Level::Low), Input::new(chip.PIN_22, Pull::Up));
+    tasks::launch(board, SAMPLING.start(interrupt::SWI_IRQ_1), spawner, watchdog, light);
 }

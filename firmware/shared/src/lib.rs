@@ -46,11 +46,17 @@ pub fn panicked() -> Fault {
     Fault::panic(stack::callers())
 }
 
-/// Defines the handlers of panics and processor faults. They record the addresses in [`START`] and call `$restart`, a
-/// function `fn() -> !` that resets the chip. With the board's feature `defmt` a panic is also logged.
+/// Defines what every board with a Cortex-M has beside pins and clocks:
+/// - `main`, which runs `$start(Spawner)` in the executor of the thread,
+/// - `SAMPLING`, an executor in the spare interrupt `$interrupt`, for the sampler,
+/// - the handlers of panics and faults, which record the addresses in [`START`] and call `$restart`, a function
+///   `fn() -> !` that resets the chip; with the board's feature `defmt` a panic is also logged,
+/// - the module `tasks` of [`wimu_embassy::board!`], with whose further arguments.
+///
+/// The board imports its HAL's `interrupt`.
 #[macro_export]
-macro_rules! fault_handlers {
-    ($restart:path) => {
+macro_rules! board {
+    (start: $start:path, restart: $restart:path, sampling: $interrupt:ident, $($board:tt)*) => {
         #[panic_handler]
         fn panic(_info: &core::panic::PanicInfo<'_>) -> ! {
             $crate::cortex_m::interrupt::disable();
@@ -66,28 +72,12 @@ macro_rules! fault_handlers {
             $crate::START.record(&$crate::fault_of(frame));
             $restart()
         }
-    };
-}
 
-/// Defines what every board has beside pins and clocks:
-/// - `main`, which runs `$start(Spawner)` in the executor of the thread,
-/// - `SAMPLING`, an executor in the spare interrupt `$interrupt`, for the sampler,
-/// - the task `supervise(&Shared, $watchdog)`, which calls `$feed` while the tasks make progress within `$limits`,
-/// - the task `show(&Shared, is_safe_mode, $led, $button)`, which shows the state; the LED is lit at the level `$lit`,
-/// - the handlers of panics and faults: [`fault_handlers!`].
-///
-/// The board has a module `tasks` of `wimu_embassy::tasks!` and imports its HAL's `interrupt`.
-#[macro_export]
-macro_rules! board {
-    (
-        start: $start:path,
-        restart: $restart:path,
-        sampling: $interrupt:ident,
-        timer: $timer:expr,
-        watchdog: $watchdog:ty, $feed:expr, $limits:expr,
-        $(light: ($led:ty, $button:ty), lit: $lit:expr,)?
-    ) => {
-        $crate::fault_handlers!($restart);
+        $crate::wimu_embassy::board! {
+            record: $crate::START,
+            stack: $crate::stack::status,
+            $($board)*
+        }
 
         /// Runs the sampler above all tasks, below the interrupts of the bus and of the data-ready line.
         static SAMPLING: $crate::embassy_executor::InterruptExecutor =
@@ -105,29 +95,5 @@ macro_rules! board {
                 $crate::static_cell::StaticCell::new();
             EXECUTOR.init($crate::embassy_executor::Executor::new()).run($start)
         }
-
-        /// Feeds the watchdog while the node works.
-        #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-        async fn supervise(shared: &'static tasks::Shared, mut watchdog: $watchdog) -> ! {
-            let feed: fn(&mut $watchdog) = $feed;
-            let (record, stack) = (&$crate::START, $crate::stack::status);
-            let feed = || feed(&mut watchdog);
-            $crate::wimu_embassy::supervise($limits, shared, record, $timer, stack, feed).await
-        }
-
-        $(
-            /// Shows the device's state with the LED and polls the button, which is pressed while low.
-            #[$crate::embassy_executor::task(embassy_executor = $crate::embassy_executor)]
-            async fn show(
-                shared: &'static tasks::Shared,
-                is_safe_mode: bool,
-                mut led: $led,
-                button: $button,
-            ) -> ! {
-                let light = |on: bool| led.set_level((on == $lit).into());
-                let is_pressed = || button.is_low();
-                $crate::wimu_embassy::attend(shared, is_safe_mode, $timer, light, is_pressed).await
-            }
-        )?
     };
 }

@@ -1,8 +1,12 @@
-//! wimu on an STM32F411 with an LSM6DSO: pins, clocks, interrupts and `main`. Everything else is in `wimu-node` and
-//! `wimu-embassy`.
+//! wimu on an STM32F411 with an LSM6DSO: pins, interrupts and `start`; clocks and priorities are in `chip`. Everything else
+//! is in `wimu-node`, `wimu-embassy` and `wimu-cortex-m`.
 
 #![no_std]
 #![no_main]
+
+mod chip;
+#[path = "../../shared/edge_time.rs"]
+mod edge_time;
 
 // Where the log goes: to the debug probe.
 #[cfg(feature = "defmt")]
@@ -12,21 +16,21 @@ use embassy_stm32::exti::{self, ExtiInput};
 use embassy_stm32::flash::{Bank1Region1, Blocking, Flash};
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use embassy_stm32::i2c::{self, I2c, Master};
-use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+use embassy_stm32::interrupt;
 use embassy_stm32::mode::Async;
 use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH6, I2C1, IWDG, USART1, USART2};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart, BufferedUartRx, BufferedUartTx};
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Config, bind_interrupts, dma, pac, rcc};
+use embassy_stm32::{bind_interrupts, dma};
 use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_embassy::{BlockingFlash, BoardTimer};
-use wimu_link::hello::{Capabilities, Part, ResetReason, board};
+use wimu_link::hello::{Capabilities, Part, board};
 use wimu_node::wimu_lsm6dso::{Address, I2cBus};
 use wimu_node::{Board, FlashLayout, FlashStore, Lsm6dso, TimeoutBus};
 
-use crate::tasks::Shared;
+use crate::edge_time::Line;
 
 bind_interrupts!(struct Interrupts {
     I2C1_EV => i2c::EventInterruptHandler<I2C1>;
@@ -39,28 +43,19 @@ bind_interrupts!(struct Interrupts {
 });
 
 type Bus = I2cBus<TimeoutBus<I2c<'static, Async, Master>, BoardTimer>>;
-type Sensor = Lsm6dso<Bus, ExtiInput<'static, Async>, BoardTimer>;
+type Sensor = Lsm6dso<Bus, Line<ExtiInput<'static, Async>>, BoardTimer>;
 /// The flash's sectors of 16 KiB.
 type StoreFlash = BlockingFlash<Bank1Region1<'static, Blocking>>;
-type Memory = FlashStore<StoreFlash>;
-
-/// The tasks of the node.
-mod tasks {
-    use super::{BoardTimer, BufferedUartRx, BufferedUartTx, Memory, Sensor};
-    wimu_embassy::tasks! {
-        sensor: Sensor,
-        timer: BoardTimer,
-        store: Memory,
-        cable: (BufferedUartRx<'static>, BufferedUartTx<'static>),
-        wireless: (BufferedUartRx<'static>, BufferedUartTx<'static>),
-    }
-}
 
 wimu_cortex_m::board! {
     start: start,
     restart: cortex_m::peripheral::SCB::sys_reset,
     sampling: SPI5,
     timer: BoardTimer,
+    sensor: Sensor,
+    store: FlashStore<StoreFlash>,
+    cable: (BufferedUartRx<'static>, BufferedUartTx<'static>),
+    wireless: (BufferedUartRx<'static>, BufferedUartTx<'static>),
     watchdog: IndependentWatchdog<'static, IWDG>, |watchdog| watchdog.pet(), wimu_embassy::LIMITS_US,
     light: (Output<'static>, Input<'static>), lit: false,
 }
@@ -71,26 +66,25 @@ const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x4000..0xC000);
 const PAUSE_MS: u16 = 800;
 /// Timeout of the watchdog, longer than an erase of a sector, µs.
 const WATCHDOG_US: u32 = 2_000_000;
-/// Crystal of the board, Hz.
-const CRYSTAL: Hertz = Hertz(25_000_000);
 
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
-    static SHARED: Shared = Shared::new();
     static BUFFERS: StaticCell<[[u8; 128]; 4]> = StaticCell::new();
 
-    let begun = wimu_cortex_m::begin(reason());
-    let chip = embassy_stm32::init(clocks());
+    let begun = wimu_cortex_m::begin(chip::reset_reason());
+    let chip = embassy_stm32::init(chip::clocks());
     embassy_time::block_for(Duration::from_millis(begun.delay_ms().into()));
 
     let mut bus = i2c::Config::default();
     bus.frequency = Hertz(400_000);
+    // Its own time-out may wait without yielding.
+    bus.timeout = Duration::from_millis(20);
     let i2c =
         I2c::new(chip.I2C1, chip.PB6, chip.PB7, chip.DMA1_CH6, chip.DMA1_CH0, Interrupts, bus);
     let i2c = TimeoutBus::new(i2c, BoardTimer);
     let address = Address::Low;
-    let line = ExtiInput::new(chip.PB0, chip.EXTI0, Pull::Down, Interrupts);
+    let line = Line(ExtiInput::new(chip.PB0, chip.EXTI0, Pull::Down, Interrupts));
     // The default is 115,200 bits/s, 8N1.
     let uart = usart::Config::default;
     let [a, b, c, d] = BUFFERS.init([[0; 128]; 4]);
@@ -108,8 +102,7 @@ fn start(spawner: Spawner) {
             u64::from_le_bytes([a, b, c, d, e, f, g, h]),
             env!("CARGO_PKG_VERSION"),
             &begun,
-            // Not DATA_READY: the time of a sample is that at which the task wakes.
-            Capabilities::STORE,
+            Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::STM32F411, "STM32F411"),
         ),
         sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
@@ -121,57 +114,10 @@ fn start(spawner: Spawner) {
         wireless,
         nearest_rate: None,
     };
-    let shared = &SHARED;
-    let node = tasks::place(board, shared);
-
-    interrupt::EXTI0.set_priority(Priority::P1);
-    interrupt::I2C1_EV.set_priority(Priority::P1);
-    interrupt::I2C1_ER.set_priority(Priority::P1);
-    interrupt::DMA1_STREAM0.set_priority(Priority::P1);
-    interrupt::DMA1_STREAM6.set_priority(Priority::P1);
-    interrupt::USART1.set_priority(Priority::P2);
-    interrupt::USART2.set_priority(Priority::P2);
-    interrupt::SPI5.set_priority(Priority::P3);
-    tasks::spawn(node, SAMPLING.start(interrupt::SPI5), spawner);
+    chip::set_priorities();
     let mut watchdog = IndependentWatchdog::new(chip.IWDG, WATCHDOG_US);
     watchdog.unleash();
     let led = Output::new(chip.PC13, Level::High, Speed::Low);
-    let key = Input::new(chip.PA0, Pull::Up);
-    // Spawned once.
-    spawner.spawn(supervise(shared, watchdog).unwrap());
-    spawner.spawn(show(shared, begun.is_safe_mode(), led, key).unwrap());
-}
-
-/// 96 MHz from the crystal.
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.rcc.hse = Some(rcc::Hse { freq: CRYSTAL, mode: rcc::HseMode::Oscillator });
-    config.rcc.pll_src = rcc::PllSource::HSE;
-    config.rcc.pll = Some(rcc::Pll {
-        prediv: rcc::PllPreDiv::DIV25,
-        mul: rcc::PllMul::MUL192,
-        divp: Some(rcc::PllPDiv::DIV2),
-        divq: None,
-        divr: None,
-    });
-    config.rcc.sys = rcc::Sysclk::PLL1_P;
-    // At most 50 MHz.
-    config.rcc.apb1_pre = rcc::APBPrescaler::DIV2;
-    config
-}
-
-/// The reset reason.
-fn reason() -> ResetReason {
-    let found = pac::RCC.csr().read();
-    // The bits accumulate until they are cleared.
-    pac::RCC.csr().modify(|flags| flags.set_rmvf(true));
-    match found {
-        _ if found.wdgrstf() => ResetReason::Watchdog,
-        _ if found.sftrstf() => ResetReason::Software,
-        _ if found.porrstf() => ResetReason::PowerOn,
-        _ if found.borrstf() => ResetReason::BrownOut,
-        // Set by every reset.
-        _ if found.padrstf() => ResetReason::Pin,
-        _ => ResetReason::Unknown,
-    }
+    let light = (led, Input::new(chip.PA0, Pull::Up));
+    tasks::launch(board, SAMPLING.start(interrupt::SPI5), spawner, watchdog, light);
 }

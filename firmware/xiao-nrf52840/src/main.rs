@@ -14,24 +14,22 @@ mod radio;
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
 use embassy_executor::Spawner;
-use embassy_nrf::config::{Config, HfclkSource, LfclkSource};
+use embassy_nrf::config::LfclkSource;
 use embassy_nrf::gpio::{Input, Level, Output, OutputDrive, Pull};
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 use embassy_nrf::peripherals::{TWISPI0, USBD};
 use embassy_nrf::rng::Rng;
-use embassy_nrf::twim::{self, Twim};
+
 use embassy_nrf::usb::vbus_detect::{self, HardwareVbusDetect};
-use embassy_nrf::usb::{self, Driver};
 use embassy_nrf::wdt::WatchdogHandle;
-use embassy_nrf::{Peri, bind_interrupts};
+use embassy_nrf::{bind_interrupts, twim, usb};
 use embassy_time::Duration;
 use nrf_sdc::mpsl;
-use static_cell::StaticCell;
-use wimu_embassy::{PacketLink, PacketReader, PacketWriter, UsbIdentity, UsbMemory};
+use wimu_embassy::{PacketLink, PacketReader, PacketWriter};
 use wimu_link::hello::{Capabilities, Part, board};
 use wimu_node::wimu_lsm6dso::{Address, I2cBus};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm6ds3trC, TimeoutBus};
-use wimu_nrf::{BoardTimer, Bus, Line};
+use wimu_node::{Board, FlashLayout, FlashStore, Lsm6ds3trC};
+use wimu_nrf::{BoardTimer, Line, SensorBus};
 
 use crate::flash::StoreFlash;
 
@@ -45,28 +43,24 @@ bind_interrupts!(struct Interrupts {
     RTC0 => mpsl::HighPrioInterruptHandler;
 });
 
-type Sensor = Lsm6ds3trC<I2cBus<TimeoutBus<Bus, BoardTimer>>, Line, BoardTimer>;
-
-/// The tasks of the node.
-mod tasks {
-    use super::{BoardTimer, FlashStore, PacketReader, PacketWriter, Sensor, StoreFlash};
-    wimu_embassy::tasks! {
-        sensor: Sensor,
-        timer: BoardTimer,
-        store: FlashStore<StoreFlash>,
-        cable: (PacketReader<'static>, PacketWriter<'static>),
-        wireless: (PacketReader<'static>, PacketWriter<'static>),
-    }
-}
+type UsbDriver = usb::Driver<'static, HardwareVbusDetect>;
+type Sensor = Lsm6ds3trC<I2cBus<SensorBus>, Line, BoardTimer>;
 
 wimu_cortex_m::board! {
     start: start,
     restart: cortex_m::peripheral::SCB::sys_reset,
     sampling: EGU1_SWI1,
     timer: BoardTimer,
+    sensor: Sensor,
+    store: FlashStore<StoreFlash>,
+    cable: (cable::Reader, cable::Writer),
+    wireless: (PacketReader<'static>, PacketWriter<'static>),
     watchdog: WatchdogHandle, |watchdog| watchdog.pet(), wimu_embassy::without_limit([2, 3]),
     light: (Output<'static>, Input<'static>), lit: false,
 }
+
+// The numbers are those of Seeed's own firmware for this board.
+wimu_embassy::usb_cable!(UsbDriver, (0x2886, 0x8045), "XIAO nRF52840 Sense");
 
 /// The 16 KiB below the bootloader, which memory.x excludes.
 const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0xF0000..0xF4000);
@@ -74,30 +68,15 @@ const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0xF0000..0xF4000);
 const PAUSE_MS: u16 = 720;
 /// From power of the sensor until it answers, ms: 15 by its datasheet, with reserve.
 const SENSOR_START_MS: u64 = 25;
-/// Numbers of Seeed's own firmware for this board.
-const USB: (u16, u16) = (0x2886, 0x8045);
-
-static CABLE: PacketLink = PacketLink::new();
 static WIRELESS: PacketLink = PacketLink::new();
-
-/// Runs the cable.
-#[embassy_executor::task]
-async fn cable(chip: Peri<'static, USBD>, memory: &'static mut UsbMemory) -> ! {
-    let driver = Driver::new(chip, Interrupts, HardwareVbusDetect::new(Interrupts));
-    let device_id = wimu_nrf::device_id();
-    let identity = UsbIdentity { numbers: USB, product: "XIAO nRF52840 Sense", device_id };
-    wimu_embassy::run_usb(driver, memory, identity, &CABLE).await
-}
 
 /// A separate function, so that its stack frame is gone before the tasks run.
 #[inline(never)]
 fn start(spawner: Spawner) {
-    static SHARED: tasks::Shared = tasks::Shared::new();
-    static BUS_BUFFER: StaticCell<[u8; 16]> = StaticCell::new();
-    static USB_MEMORY: StaticCell<UsbMemory> = StaticCell::new();
-
+    let mut config = wimu_nrf::config();
+    config.lfclk_source = LfclkSource::ExternalXtal;
     let begun = wimu_cortex_m::begin(wimu_nrf::reset_reason());
-    let chip = embassy_nrf::init(clocks());
+    let chip = embassy_nrf::init(config);
     // The sensor, its pull-ups and the microphone are fed by this pin.
     let power = Output::new(chip.P1_08, Level::High, OutputDrive::HighDrive);
     core::mem::forget(power);
@@ -113,16 +92,16 @@ fn start(spawner: Spawner) {
     let rose = wimu_nrf::start_clock(chip.TIMER1);
     let (channel, pin, ppi) = (chip.GPIOTE_CH0, chip.P0_11, chip.PPI_CH0);
     let line = Line::new(channel, pin, Pull::Down, Level::High, ppi, rose);
-    let mut bus = twim::Config::default();
-    bus.frequency = twim::Frequency::K400;
-    let (sda, scl, buffer) = (chip.P0_07, chip.P0_27, BUS_BUFFER.init([0; 16]));
-    let i2c = Twim::new(chip.TWISPI0, Interrupts, sda, scl, bus, buffer);
+    let i2c = wimu_nrf::sensor_bus(chip.TWISPI0, Interrupts, chip.P0_07, chip.P0_27);
     let mut random = Rng::new_blocking(chip.RNG);
     let mut entropy = [0; 16];
     random.blocking_fill_bytes(&mut entropy);
     let mpsl = radio::layer(radio::layer_peripherals!(chip));
+    // Each task is spawned once. The layer runs before what waits for it: the clock's crystal, the flash.
+    spawner.spawn(radio::run(mpsl).unwrap());
     let controller = radio::controller(mpsl, radio::controller_peripherals!(chip), random);
-    let i2c = TimeoutBus::new(Bus(i2c), BoardTimer);
+    let usb = UsbDriver::new(chip.USBD, Interrupts, HardwareVbusDetect::new(Interrupts));
+    let cable = cable::start(spawner, usb, wimu_nrf::device_id());
     let board = Board {
         hello: wimu_embassy::hello::<Sensor>(
             wimu_nrf::device_id(),
@@ -135,30 +114,13 @@ fn start(spawner: Spawner) {
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(mpsl, chip.NVMC), LAYOUT, PAUSE_MS),
         entropy,
-        cable: CABLE.split(),
+        cable,
         wireless: WIRELESS.split(),
         nearest_rate: None,
     };
-    let node = tasks::place(board, &SHARED);
     let led = Output::new(chip.P0_26, Level::High, OutputDrive::Standard);
-    let pin_d0 = Input::new(chip.P0_02, Pull::Up);
-    let watchdog = wimu_nrf::watchdog(chip.WDT);
-
-    // Each is spawned once. The layer runs before anything that waits for it: the clock's crystal, the flash.
-    spawner.spawn(radio::run(mpsl).unwrap());
+    let light = (led, Input::new(chip.P0_02, Pull::Up));
     spawner.spawn(nus::run(controller, wimu_nrf::device_id(), &WIRELESS).unwrap());
-    spawner.spawn(cable(chip.USBD, USB_MEMORY.init_with(Default::default)).unwrap());
-    tasks::spawn(node, SAMPLING.start(interrupt::EGU1_SWI1), spawner);
-    spawner.spawn(supervise(&SHARED, watchdog).unwrap());
-    spawner.spawn(show(&SHARED, begun.is_safe_mode(), led, pin_d0).unwrap());
-}
-
-/// Both clocks from the board's crystals, all interrupts below the radio's.
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.hfclk_source = HfclkSource::ExternalXtal;
-    config.lfclk_source = LfclkSource::ExternalXtal;
-    config.gpiote_interrupt_priority = Priority::P1;
-    config.time_interrupt_priority = Priority::P2;
-    config
+    let above = SAMPLING.start(interrupt::EGU1_SWI1);
+    tasks::launch(board, above, spawner, wimu_nrf::watchdog(chip.WDT), light);
 }

@@ -198,10 +198,12 @@ impl fmt::Display for UsbId {
 }
 
 /// Vendor, product (any if `None`), name.
-const KNOWN_BOARDS: [(u16, Option<u16>, &str); 7] = [
+const KNOWN_BOARDS: [(u16, Option<u16>, &str); 9] = [
     (0x0d28, Some(0x0204), "micro:bit"),
-    (0x1366, None, "SEGGER probe, such as on the nRF52840 DK"),
+    (0x1366, None, "SEGGER probe"),
+    (0x2886, Some(0x8045), "XIAO nRF52840 Sense"),
     (0x2e8a, None, "Raspberry Pi Pico or its debug probe"),
+    (0x303a, Some(0x1001), "ESP32-C3 or a relative"),
     (0x0403, None, "FTDI serial adapter"),
     (0x10c4, Some(0xea60), "CP210x serial adapter"),
     (0x10c4, Some(0xea70), "CP2105 serial adapter"),

@@ -3,7 +3,7 @@
 //! Modelled: identity, output data rates 0.10 to 3200 Hz, standby and measuring, ranges, 10 bits
 //! and full resolution, both justifications, the lowest bit that is 0 at 1600 and 3200 Hz, the FIFO of 32
 //! samples (bypass, FIFO, stream) that moves on within 5 µs of reading a sample, watermark, overrun,
-//! data-ready, interrupt enable, map and invert on INT1, self-test at 2.5 V. Other registers keep
+//! data-ready, interrupt enable, map and invert on INT1. Other registers keep
 //! what is written to them and do nothing: offsets, tap, activity, free fall, sleep, trigger mode,
 //! INT2. Low power changes no noise.
 
@@ -32,7 +32,6 @@ const FIFO_STATUS: u8 = 0x39;
 
 const RATE: u8 = 0x0F;
 const MEASURE: u8 = 0x08;
-const SELF_TEST: u8 = 0x80;
 const INVERT: u8 = 0x20;
 const FULL_RES: u8 = 0x08;
 const JUSTIFY: u8 = 0x04;
@@ -47,8 +46,6 @@ const MULTIPLE: u8 = 0x40;
 const ADVANCE_US: u64 = 5;
 /// From standby to the first conversion, µs.
 const WAKE_UP_US: u64 = 1_100;
-/// What the self-test adds at 2.5 V, *g*: in the middle of the datasheet's limits.
-const SELF_TEST_G: [f64; 3] = [1.15, -1.15, 1.85];
 
 #[derive(Debug)]
 pub(crate) struct Adxl345 {
@@ -200,12 +197,6 @@ impl Chip for Adxl345 {
         };
         self.core.taken += 1;
         let mut sample = counts.0;
-        if self.is_set(DATA_FORMAT, SELF_TEST) {
-            for (axis, shift) in sample.iter_mut().zip(SELF_TEST_G) {
-                let shift = (shift * self.lsb_per_g()) as i16 >> (16 - bits) << (16 - bits);
-                *axis = axis.saturating_add(shift);
-            }
-        }
         let fast = self.register(BW_RATE) & RATE >= 0x0E;
         let finest = self.is_set(DATA_FORMAT, FULL_RES) || !self.is_set(DATA_FORMAT, 3);
         if fast && finest {

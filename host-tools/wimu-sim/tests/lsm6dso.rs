@@ -34,7 +34,6 @@ const SETUP: Setup = Setup {
     rate: Rate::Hz208,
     power: Power::High,
     watermark: 8,
-    temperature: false,
 };
 /// 10 MHz.
 const SPI_HZ: u32 = 10_000_000;

@@ -108,7 +108,6 @@ fn the_lsm6ds3tr_c_is_aligned_again_after_an_overrun() {
         rate: Rate::Hz833,
         power: Power::High,
         watermark: 16,
-        temperature: false,
     };
     let done = clock.run(async {
         chip.check_identity().await?;

@@ -44,16 +44,21 @@ pub const XIAO: Board = Board {
 };
 const STM32: Board =
     Board { has_log: true, ..board("firmware/stm32f411", "wimu-stm32f411", TARGETS[0]) };
+/// Flashed by `espflash`.
+pub const ESP32C3: Board = board("firmware/esp32c3", "wimu-esp32c3", "riscv32imc-unknown-none-elf");
 pub const BARE_LOOP: Board = board("firmware/bare-loop", "bare-loop", TARGETS[0]);
 pub const BENCH: Board = board("firmware/bench", "bench", TARGETS[0]);
 
-pub const ALL: [Board; 7] = [QEMU, MICROBIT, PICO, XIAO, STM32, BARE_LOOP, BENCH];
+pub const ALL: [Board; 8] = [QEMU, MICROBIT, PICO, XIAO, STM32, ESP32C3, BARE_LOOP, BENCH];
 
 /// The boards that can be built on this machine.
 pub fn buildable(sh: &Shell) -> Vec<Board> {
     let mut boards = Vec::from(ALL);
-    if !has(sh, "libclang") {
-        boards.retain(|board| board.folder != XIAO.folder);
+    let needs = [(XIAO, "libclang"), (ESP32C3, "core for Cortex-M33 and RISC-V")];
+    for (of, need) in needs {
+        if !has(sh, need) {
+            boards.retain(|board| board.folder != of.folder);
+        }
     }
     boards
 }

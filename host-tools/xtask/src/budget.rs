@@ -5,7 +5,7 @@ use std::path::Path;
 use wimu_testkit::figure;
 use xshell::{Shell, cmd};
 
-use crate::boards::{BARE_LOOP, Board, MICROBIT, PICO, QEMU, XIAO, buildable};
+use crate::boards::{BARE_LOOP, Board, ESP32C3, MICROBIT, PICO, QEMU, XIAO, buildable};
 use crate::size::Size;
 use crate::{Result, instructions};
 
@@ -49,7 +49,7 @@ const fn function(what: &'static str, program: &'static str, aim: u32, limit: u3
 const EMPTY: &str = "empty";
 /// The image of the lane `test`, optimised for speed.
 const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [252_000, 27_300]);
-const IMAGES: [Image; 7] = [
+const IMAGES: [Image; 8] = [
     QEMU_IMAGE,
     profile("profile stream", "", [48, 8], [46_200, 6_900]),
     profile("profile navigate", "navigate", [66, 11], [67_584, 10_500]),
@@ -58,6 +58,8 @@ const IMAGES: [Image; 7] = [
     image("Pico", PICO, [80, 16], [113_664, 22_000]),
     // Half of it is the controller and the host stack of Bluetooth: it has no target.
     image("XIAO nRF52840 with BLE and USB", XIAO, [0, 0], [206_000, 40_000]),
+    // Likewise, and most of the RAM is the radio's heap.
+    image("ESP32-C3 with BLE and USB", ESP32C3, [0, 0], [480_000, 102_000]),
     function("bare loop", "bare-loop", 8, 14_000),
 ];
 

@@ -19,7 +19,7 @@ struct Wiring {
 
 const ADAPTER: Part = Part("Bluetooth adapter", &["RXD", "TXD", "GND"]);
 
-const WIRINGS: [Wiring; 4] = [
+const WIRINGS: [Wiring; 5] = [
     Wiring {
         name: "pico",
         board: "Raspberry Pi Pico",
@@ -40,6 +40,13 @@ const WIRINGS: [Wiring; 4] = [
         sensor: Part("", &[]),
         adapter: ADAPTER,
         pins: [&[], &["ring 0", "ring 1", "GND"]],
+    },
+    Wiring {
+        name: "esp32c3",
+        board: "ESP32-C3",
+        sensor: Part("MPU-6050 (GY-521)", &["VCC", "GND", "SDA", "SCL", "INT"]),
+        adapter: Part("", &[]),
+        pins: [&["3V3", "GND", "GPIO6", "GPIO7", "GPIO5"], &[]],
     },
     Wiring {
         name: "stm32f411",

@@ -30,7 +30,8 @@ impl Size {
         let mut size = Self::default();
         for section in elf.sections() {
             let SectionFlags::Elf { sh_flags, .. } = section.flags() else { continue };
-            if sh_flags.0 & SHF_ALLOC.0 == 0 {
+            // An ESP32-C3's stack is a section.
+            if sh_flags.0 & SHF_ALLOC.0 == 0 || section.name()? == ".stack" {
                 continue;
             }
             // Initial values are in flash, and their variables in RAM.

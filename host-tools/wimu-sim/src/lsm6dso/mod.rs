@@ -4,7 +4,7 @@
 //! sensors on one oscillator, ranges, turn-on time of the gyroscope (full scale until it has passed),
 //! output registers with block data update, the FIFO of 512 tagged words (bypass, continuous) with
 //! batch rates and temperatures, watermark, overrun and its latch, data-ready, watermark, overrun and
-//! full on INT1 of either polarity, self-test, software reset, access to the embedded functions'
+//! full on INT1 of either polarity, software reset, access to the embedded functions'
 //! registers, which hides all others. Other registers keep what is written to them and do nothing:
 //! timestamps, filters, decimation of the LSM6DS3TR-C's FIFO, whose words have no tags, compression, embedded functions, I3C, INT2. Low power changes no noise. The
 //! order of the words of one instant (gyroscope, accelerometer, temperature) and the content of an
@@ -37,7 +37,6 @@ const CTRL1_XL: u8 = 0x10;
 const CTRL2_G: u8 = 0x11;
 const CTRL3_C: u8 = 0x12;
 const CTRL4_C: u8 = 0x13;
-const CTRL5_C: u8 = 0x14;
 const CTRL9_XL: u8 = 0x18;
 const ALL_INT_SRC: u8 = 0x1A;
 const STATUS: u8 = 0x1E;
@@ -59,9 +58,6 @@ const FASTEST_HZ: f64 = 20_000.0 / 3.0;
 const RESET_US: u64 = 50;
 /// From power-down until the gyroscope measures.
 const TURN_ON_S: f64 = 0.070;
-/// Change by the self-test: geometric means of the datasheet's limits.
-const SELF_TEST_G: f64 = 0.29;
-const SELF_TEST_DPS: f64 = 320.0;
 
 #[derive(Debug, Default)]
 pub(crate) struct Lsm6dso {
@@ -152,12 +148,6 @@ impl Lsm6dso {
             }
             _ => Counts([i16::MAX; 3]),
         };
-        let shift = match self.register(CTRL5_C) >> 2 & 0b11 {
-            0b01 => SELF_TEST_DPS * lsb_per_dps,
-            0b11 => -SELF_TEST_DPS * lsb_per_dps,
-            _ => 0.0,
-        };
-        let counts = counts.map(|axis| axis.saturating_add(shift as i16));
         if self.core.fault != GyroscopeFault::Stuck {
             self.output[1..4].copy_from_slice(&counts);
         }
@@ -177,12 +167,7 @@ impl Lsm6dso {
         let Some(counts) = source.acceleration(&conversion) else {
             return false;
         };
-        let shift = match self.register(CTRL5_C) & 0b11 {
-            0b01 => SELF_TEST_G * self.lsb_per_g(),
-            0b10 => -SELF_TEST_G * self.lsb_per_g(),
-            _ => 0.0,
-        };
-        self.output[4..7].copy_from_slice(&counts.0.map(|axis| axis.saturating_add(shift as i16)));
+        self.output[4..7].copy_from_slice(&counts.0);
         self.core.taken += 1;
         self.fresh |= 0b001;
         true

@@ -1,6 +1,12 @@
-//! The rate of a UART.
+//! The wireless link: a Bluetooth adapter on a UART.
 
-use embassy_nrf::uarte::Baudrate;
+use embassy_nrf::buffered_uarte::{BufferedUarteRx, BufferedUarteTx};
+use embassy_nrf::uarte::{Baudrate, Config};
+use wimu_node::Store;
+
+pub type Receiver = BufferedUarteRx<'static>;
+pub type Sender = BufferedUarteTx<'static>;
+pub const NEAREST_RATE: Option<fn(u32) -> u32> = Some(|baud| setting(baud).0);
 
 /// The rates of the datasheet, bit/s.
 const RATES: [(u32, Baudrate); 17] = [
@@ -24,12 +30,16 @@ const RATES: [(u32, Baudrate); 17] = [
 ];
 
 /// The setting nearest to `baud`, with its rate, bit/s.
-pub fn setting(baud: u32) -> (u32, Baudrate) {
+fn setting(baud: u32) -> (u32, Baudrate) {
     let nearest = RATES.into_iter().min_by_key(|(rate, _)| rate.abs_diff(baud));
     nearest.unwrap_or((115_200, Baudrate::Baud115200))
 }
 
-/// The supported rate nearest to `baud`, bit/s.
-pub fn nearest(baud: u32) -> u32 {
-    setting(baud).0
+/// 115,200 bits/s, 8N1, unless another rate is stored.
+pub fn config(store: &mut impl Store) -> Config {
+    let mut config = Config::default();
+    if let Some(baud) = wimu_node::line_rate(store) {
+        config.baudrate = setting(baud).1;
+    }
+    config
 }

@@ -1,4 +1,4 @@
-//! INT1 of the sensor, with the time at which it rose.
+//! The sensor's data-ready line on a pin, with the time at which it rose. There is one such line.
 
 use core::cell::{Cell, RefCell};
 use core::future::{Future, poll_fn};
@@ -7,11 +7,10 @@ use core::ptr;
 use core::task::{Context, RawWaker, RawWakerVTable, Waker};
 
 use critical_section::Mutex;
-use embassy_rp::gpio::Input;
+use embedded_hal_async::digital::Wait;
+use wimu_embassy::BoardTimer;
 use wimu_model::DeviceTimeUs;
 use wimu_node::{DataReady, Timer};
-
-use wimu_embassy::BoardTimer;
 
 /// The pin's interrupt calls a waker, which captures the time before it wakes the task.
 static ROSE: Mutex<Rose> = Mutex::new(Rose { at: Cell::new(None), task: RefCell::new(None) });
@@ -41,15 +40,16 @@ fn capture() {
 }
 
 /// The line.
-pub struct Line(pub Input<'static>);
+pub struct Line<P>(pub P);
 
-impl DataReady for Line {
+impl<P: Wait> DataReady for Line<P> {
     async fn ready(&mut self) -> Option<DeviceTimeUs> {
         critical_section::with(|cs| ROSE.borrow(cs).at.set(None));
         // SAFETY: the functions of the table do not use the pointer and can be called from any context.
         let waker = unsafe { Waker::from_raw(waker()) };
         let mut high = pin!(self.0.wait_for_high());
-        poll_fn(|context| {
+        // After a failure of the pin the driver polls the sensor.
+        let _ = poll_fn(|context| {
             critical_section::with(|cs| {
                 let task = context.waker().clone();
                 ROSE.borrow(cs).task.replace(Some(task));

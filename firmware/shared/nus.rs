@@ -131,10 +131,7 @@ async fn receive(server: &Server<'_>, connection: &Connection<'_>, link: &Packet
         }
         if listens != server.uart.tx.should_notify(connection) {
             listens = !listens;
-            match listens {
-                true => link.connect(),
-                false => link.disconnect(),
-            }
+            if listens { link.connect() } else { link.disconnect() }
         }
     }
 }

@@ -31,10 +31,7 @@ impl<R: VirtualBoard> BehindFaults<R> {
         let sent = self.board.receive(LinkRole::Wireless);
         self.channels.to_host.borrow_mut().push(now_ns, &sent);
         let arrived = self.channels.to_device.borrow_mut().pull(now_ns, usize::MAX);
-        match arrived.is_empty() {
-            true => Ok(()),
-            false => self.board.send(LinkRole::Wireless, &arrived),
-        }
+        if arrived.is_empty() { Ok(()) } else { self.board.send(LinkRole::Wireless, &arrived) }
     }
 }
 

@@ -228,9 +228,10 @@ fn packed_again<F: Sample, R>(
     };
     let (sequence, time) = (batch.sequence_low().into(), DeviceTimeUs(batch.time_low().into()));
     let mut line = [0; MAX_FRAME];
-    let length = match pairs.is_empty() {
-        true => batch::encode_with(layout, sequence, time, &forces, &mut line),
-        false => batch::encode_with(layout, sequence, time, &pairs, &mut line),
+    let length = if pairs.is_empty() {
+        batch::encode_with(layout, sequence, time, &forces, &mut line)
+    } else {
+        batch::encode_with(layout, sequence, time, &pairs, &mut line)
     };
     with_batch(&line[..length.expect("room")], |again| {
         assert_eq!(again.stream(), batch.stream());

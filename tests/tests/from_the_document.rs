@@ -168,10 +168,7 @@ impl Reader<'_> {
                 self.note(length);
                 // The examples show it filled up.
                 for at in 0..8 {
-                    match at < length {
-                        true => self.read("u8"),
-                        false => self.note(0),
-                    }
+                    if at < length { self.read("u8") } else { self.note(0) }
                 }
             }
             "bytes" => (0..self.varint()).for_each(|_| self.read("u8")),

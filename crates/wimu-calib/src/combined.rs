@@ -135,14 +135,15 @@ fn model(theta: &terms::Theta, sessions: &Sessions<'_>) -> Result<ErrorModel, Mo
     ErrorModel::new(ErrorTerms {
         bias_mps2: terms::bias(theta),
         matrix: terms::matrix(theta),
-        temperature: match sessions.slopes {
-            false => TemperatureTerms::default(),
-            true => TemperatureTerms {
+        temperature: if sessions.slopes {
+            TemperatureTerms {
                 reference_c: sessions.reference_c,
                 bias_mps2_per_k: terms::triple(theta, 15),
                 bias_mps2_per_k2: [0.0; 3],
                 scale_per_k: terms::triple(theta, 18),
-            },
+            }
+        } else {
+            TemperatureTerms::default()
         },
         nonlinearity: [0.0; 3],
     })

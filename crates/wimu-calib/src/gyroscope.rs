@@ -309,11 +309,12 @@ impl GyroscopeEstimate {
         };
         let (turn, sd) = worst(MATRIX);
         let (rest, _) = worst(G_SENSITIVITY);
-        match sd > GOOD_ENOUGH {
-            true => Some(GyroscopeAdvice::Turn { axis: turn }),
-            false => (G_SENSITIVITY..PARAMETERS)
+        if sd > GOOD_ENOUGH {
+            Some(GyroscopeAdvice::Turn { axis: turn })
+        } else {
+            (G_SENSITIVITY..PARAMETERS)
                 .any(|i| !self.observed(i))
-                .then_some(GyroscopeAdvice::Rest { axis: rest }),
+                .then_some(GyroscopeAdvice::Rest { axis: rest })
         }
     }
 }

@@ -231,12 +231,11 @@ mod tests {
             for _ in 0..5 {
                 record.begin(ResetReason::Watchdog);
             }
-            let start = match stable {
-                true => {
-                    record.stable();
-                    record.begin(ResetReason::Watchdog)
-                }
-                false => record.begin(ResetReason::Pin),
+            let start = if stable {
+                record.stable();
+                record.begin(ResetReason::Watchdog)
+            } else {
+                record.begin(ResetReason::Pin)
             };
             assert_eq!(start.failures, u32::from(stable));
             assert!(!start.is_safe_mode());

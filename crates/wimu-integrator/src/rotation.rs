@@ -71,9 +71,10 @@ impl Rotation {
     /// where its length is zero or not finite.
     pub fn new(quaternion: [f64; 4], period: PeriodNs) -> Self {
         let norm = wimu_model::root::sqrt(quaternion.iter().map(|q| q * q).sum());
-        let unit = match norm > 0.0 && norm.is_finite() {
-            true => quaternion.map(|q| q / norm),
-            false => [1.0, 0.0, 0.0, 0.0],
+        let unit = if norm > 0.0 && norm.is_finite() {
+            quaternion.map(|q| q / norm)
+        } else {
+            [1.0, 0.0, 0.0, 0.0]
         };
         let quaternion = unit.map(|q| (q * (1_u64 << 59) as f64) as i64);
         Self::resumed(quaternion, None, [0; 3], period)
@@ -116,10 +117,7 @@ impl Rotation {
         let Factor { limit, shift, .. } = self.factor;
         let in_range =
             (rate.0.iter()).all(|axis| axis.wrapping_add(limit) as u32 <= 2 * limit as u32);
-        let rate = match in_range {
-            true => rate.0,
-            false => clamped(rate.0, limit),
-        };
+        let rate = if in_range { rate.0 } else { clamped(rate.0, limit) };
         let next = rate.map(|axis| axis << shift);
         if let Some(previous) = self.previous.replace(next) {
             let half_angle = self.half_angle(previous, next);

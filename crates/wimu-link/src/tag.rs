@@ -177,10 +177,7 @@ impl Tagger {
             self.is_epoch = bytes.starts_with(&EPOCH);
         }
         self.is_within = !ends;
-        let content = match ends {
-            true => bytes.strip_suffix(&[0]).unwrap_or(bytes),
-            false => bytes,
-        };
+        let content = if ends { bytes.strip_suffix(&[0]).unwrap_or(bytes) } else { bytes };
         if let Some(mac) = &mut self.frame {
             mac.update(content);
         }
@@ -191,10 +188,7 @@ impl Tagger {
             interval.frames = interval.frames.wrapping_add(1);
             interval.sum = interval.sum.wrapping_add(code(mac));
         }
-        match self.is_epoch {
-            true => self.end(),
-            false => None,
-        }
+        if self.is_epoch { self.end() } else { None }
     }
 
     /// Ends the interval. One without a tag has a number too, so that the next one does not seem to follow the latest tag.

@@ -597,9 +597,10 @@ fn a_device_that_cannot_read_its_boot_count_takes_a_new_key_over_the_cable_and_n
         let mut device = Device::new(lock);
         let reply = device.hear(role, &encoded(&request)).expect("an answer");
         let over_the_air = role != LinkRole::Cable && command != rate(100);
-        let refusal = match over_the_air && command != Command::OpenSession {
-            true => Refusal::CableOnly,
-            false => Refusal::Locked,
+        let refusal = if over_the_air && command != Command::OpenSession {
+            Refusal::CableOnly
+        } else {
+            Refusal::Locked
         };
         assert_eq!(reply.answer, Answer::Refused(refusal), "{role} {command:?}");
         assert_eq!(device.writes, []);

@@ -144,10 +144,7 @@ fn wide_counts_are_within_2_lsb_of_f64_and_clamped_beyond_20_bits() {
         let corrector = Corrector::compile(&parameters, at).unwrap();
         let wide = |counts| corrector.correct_wide(WideCounts(counts));
         let edge = |beyond: i32| {
-            counts.map(|c| match c < 0 {
-                true => WideCounts::MIN - beyond,
-                false => WideCounts::MAX + beyond,
-            })
+            counts.map(|c| if c < 0 { WideCounts::MIN - beyond } else { WideCounts::MAX + beyond })
         };
         for counts in
             [counts, edge(0), [WideCounts::MIN; 3], [WideCounts::MAX; 3], counts.map(|c| c >> 4)]

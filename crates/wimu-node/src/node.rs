@@ -129,10 +129,7 @@ fn capabilities(board: Capabilities, nearest_rate: Option<NearestRate>) -> Capab
             all = all.with(functions);
         }
     }
-    match cfg!(feature = "store") {
-        true => all,
-        false => all.without(Capabilities::STORE),
-    }
+    if cfg!(feature = "store") { all } else { all.without(Capabilities::STORE) }
 }
 
 impl<A, T, S, CR, CW, WR, WW, M> Node<'_, A, T, S, CR, CW, WR, WW, M>

@@ -250,10 +250,7 @@ fn run_asked<S: RawSample>(
         nearest_rate: Some(|baud| baud),
     };
     let shared = Shared::<NoopRawMutex, S>::new();
-    let ended = poll_fn(|_| match done.get() {
-        true => Poll::Ready(()),
-        false => Poll::Pending,
-    });
+    let ended = poll_fn(|_| if done.get() { Poll::Ready(()) } else { Poll::Pending });
     block_on(select(board.split(&shared).run(), ended));
     let mut received = Received::default();
     let mut deframer = Deframer::new();

@@ -205,7 +205,7 @@ impl<'a> CorrectedRecording<'a> {
     }
 
     /// Magnetic flux density of a sample, µT: corrected, or as measured where the magnetometer is not calibrated.
-    fn field_ut(&self, sample: &Corrected) -> Option<[f64; 3]> {
+    pub fn field_ut(&self, sample: &Corrected) -> Option<[f64; 3]> {
         let tesla = sample.field_t?;
         let corrected = self.tracks.correction.field_ut(tesla);
         Some(corrected.unwrap_or(tesla.map(|axis| axis * 1e6)))

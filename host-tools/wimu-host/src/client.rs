@@ -320,9 +320,12 @@ impl<T: Transport> Client<T> {
     pub fn take_data(&mut self) -> Vec<Recorded> {
         let role = self.hello.role;
         let kept = self.kept.as_mut().map(std::mem::take).unwrap_or_default();
-        let entries = kept.into_iter().map(|Passed { host_ns, bytes, is_sent }| match is_sent {
-            true => Recorded::Sent { role, host_ns, bytes },
-            false => Recorded::Received(Received { role, host_ns, bytes }),
+        let entries = kept.into_iter().map(|Passed { host_ns, bytes, is_sent }| {
+            if is_sent {
+                Recorded::Sent { role, host_ns, bytes }
+            } else {
+                Recorded::Received(Received { role, host_ns, bytes })
+            }
         });
         entries.collect()
     }

@@ -212,10 +212,8 @@ impl ClockEstimator {
                 let time = DeviceTimeUs(uptime_us);
                 let uptime_ns = uptime_us.saturating_mul(1000);
                 let before = self.latest[link].question_ns.replace(uptime_ns);
-                let question_alone = match is_behind {
-                    true => f64::NEG_INFINITY,
-                    false => alone_for(before, uptime_ns),
-                };
+                let question_alone =
+                    if is_behind { f64::NEG_INFINITY } else { alone_for(before, uptime_ns) };
                 self.exchanges += 1;
                 self.transfer(link, question, time, asked_ns, question_alone);
                 // If it took longer than others, it arrived in parts, or began with a part of an

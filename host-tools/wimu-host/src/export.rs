@@ -212,10 +212,8 @@ impl Table<'_> {
             }
             (None, _) => sample.value,
         };
-        let value = match is_corrected {
-            true => SpecificForceQ16(value).to_mps2().0,
-            false => value.map(f64::from),
-        };
+        let value =
+            if is_corrected { SpecificForceQ16(value).to_mps2().0 } else { value.map(f64::from) };
         let time_ns = self.time_ns(part, sample.time);
         let row = (self.writer.time(time_ns).vector(Some(value)))
             .vector(at.field_ut)

@@ -224,9 +224,10 @@ impl KeyFolder {
                 continue;
             };
             let mode = std::os::unix::fs::PermissionsExt::mode(&found.permissions());
-            let (others, remedy) = match folder == self.0 {
-                true => (0o022, "set its mode to 700 (chmod 700)"),
-                false => (0o002, "take the right to write from others (chmod o-w)"),
+            let (others, remedy) = if folder == self.0 {
+                (0o022, "set its mode to 700 (chmod 700)")
+            } else {
+                (0o002, "take the right to write from others (chmod o-w)")
             };
             let is_sticky = mode & 0o1000 != 0 && folder != self.0;
             if mode & others != 0 && !is_sticky {

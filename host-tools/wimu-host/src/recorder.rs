@@ -125,10 +125,7 @@ impl Recorder {
             ended: None,
         };
         let through_broker = self.links.iter().any(|(url, _)| matches!(url, LinkUrl::Mqtt { .. }));
-        let pace = match through_broker {
-            true => Pace::sparse,
-            false => Pace::on_line,
-        };
+        let pace = if through_broker { Pace::sparse } else { Pace::on_line };
         let live = LiveLinks::start(self.links, pace);
         let mut outcome = Ok(());
         let mut lost_since: Option<Instant> = None;

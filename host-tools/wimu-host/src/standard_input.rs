@@ -22,10 +22,7 @@ impl StandardInput {
         let mut start = Vec::new();
         let head = source.by_ref().take(mcap::MAGIC.len() as u64);
         { head }.read_to_end(&mut start).map_err(failed)?;
-        let suffix = match start == mcap::MAGIC {
-            true => ".mcap",
-            false => ".csv",
-        };
+        let suffix = if start == mcap::MAGIC { ".mcap" } else { ".csv" };
         let file = Builder::new().prefix("wimu-stdin-").suffix(suffix).tempfile();
         let mut file = file.map_err(failed)?;
         file.write_all(&start).map_err(failed)?;

@@ -109,10 +109,7 @@ fn a_connection_that_ends_is_an_error_of_reads_and_writes_however_the_system_sho
         let (unit, mut link) = connected();
         let Unit { notify, written, is_connected, .. } = unit;
         notify.unbounded_send(vec![9]).unwrap();
-        let kept = match stream_ends {
-            true => None,
-            false => Some(notify),
-        };
+        let kept = if stream_ends { None } else { Some(notify) };
         is_connected.store(false, Ordering::Relaxed);
         let mut buffer = [0; 8];
         assert_eq!(link.read(&mut buffer, LONG).unwrap(), 1);

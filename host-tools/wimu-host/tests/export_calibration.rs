@@ -70,10 +70,7 @@ struct Case {
 fn cases(set: &ParameterSet, of_counts: bool) -> Vec<Case> {
     let mut random = Random::new(7);
     let mut vector = |scale: f64| [0, 1, 2].map(|_| random.within(scale));
-    let scale = match of_counts {
-        true => STANDARD_GRAVITY_MPS2 / set.sensitivity.lsb_per_g(),
-        false => 1.0,
-    };
+    let scale = if of_counts { STANDARD_GRAVITY_MPS2 / set.sensitivity.lsb_per_g() } else { 1.0 };
     let gyroscope = set.gyroscope.unwrap();
     let one = |k: i16| {
         let (output, rate) = (vector(40.0 / scale), vector(6000.0));

@@ -69,10 +69,8 @@ fn table(shake: f64, wild: &[(usize, usize, f64)], columns: &[&str], seed: u64) 
         write!(text, "{:.2}", k as f64 * 0.01).unwrap();
         for (column, name) in columns.iter().enumerate() {
             let gravity = if name.starts_with("Acc") && name.contains('Z') { G } else { 0.0 };
-            let (noise, shake) = match name.starts_with("Gyr") {
-                true => (0.002, 0.01 * shake),
-                false => (0.02, shake),
-            };
+            let (noise, shake) =
+                if name.starts_with("Gyr") { (0.002, 0.01 * shake) } else { (0.02, shake) };
             let size = if moves { shake } else { noise };
             let own = wild.iter().find(|(row, at, _)| *row == k && at % columns.len() == column);
             let value = own.map_or(gravity + size * random.normal(), |(_, _, value)| *value);

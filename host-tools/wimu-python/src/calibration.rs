@@ -154,9 +154,10 @@ pub fn calibrate(
         py.detach(|| calibration::calibrate(&source.data()?.samples(selection)?, &options))?;
     let (Some(fit), Some(file)) = (report.fit.clone(), report.file.clone()) else {
         let poses: Vec<&str> = report.next_poses.iter().map(|pose| pose.text.as_str()).collect();
-        let remedy = match poses.is_empty() {
-            true => "check the recording".to_owned(),
-            false => format!("add rests with these directions up: {}", poses.join("; ")),
+        let remedy = if poses.is_empty() {
+            "check the recording".to_owned()
+        } else {
+            format!("add rests with these directions up: {}", poses.join("; "))
         };
         return Err(refused(&report.source, report.outcome.reason.as_deref(), remedy));
     };

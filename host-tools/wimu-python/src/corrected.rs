@@ -30,7 +30,7 @@ pub fn apply(
     source: Source,
     output: Option<PathBuf>,
 ) -> Result<Corrected> {
-    let (rows, findings) = py.detach(|| {
+    let (rows, fields_ut, findings) = py.detach(|| {
         let data = source.data()?;
         let sensor = calibration.sensor()?;
         let applied = correction::CorrectedRecording::new(&sensor, &data)?;
@@ -38,21 +38,23 @@ pub fn apply(
             applied.write(&path)?;
         }
         let rows: Vec<correction::Corrected> = applied.rows().collect();
+        let fields_ut: Vec<_> = rows.iter().map(|row| applied.field_ut(row)).collect();
         let findings = [&applied.findings[..], &data.findings].concat();
-        Ok::<_, Problem>((rows, findings))
+        Ok::<_, Problem>((rows, fields_ut, findings))
     })?;
-    let vectors = |of: fn(&correction::Corrected) -> Option<[f64; 3]>| {
-        let any = rows.iter().any(|row| of(row).is_some());
-        let filled = rows.iter().map(|row| of(row).unwrap_or([f64::NAN; 3]));
+    let vectors = |all: Vec<Option<[f64; 3]>>| {
+        let any = all.iter().any(Option::is_some);
+        let filled = all.into_iter().map(|vector| vector.unwrap_or([f64::NAN; 3]));
         any.then(|| table(py, filled)).transpose()
     };
+    let tesla = |field: &Option<[f64; 3]>| field.map(|ut| ut.map(|axis| axis * 1e-6));
     let has_temperature = rows.iter().any(|row| row.temperature_c.is_some());
     let celsius = rows.iter().map(|row| row.temperature_c.unwrap_or(f64::NAN));
     Ok(Corrected {
         times: column(py, rows.iter().map(|row| row.time_ns as f64 * 1e-9)),
         specific_force: table(py, rows.iter().map(|row| row.force_mps2))?,
-        angular_rate: vectors(|row| row.rate_rad_s)?,
-        magnetic_field: vectors(|row| row.field_ut.map(|field| field.map(|ut| ut * 1e-6)))?,
+        angular_rate: vectors(rows.iter().map(|row| row.rate_rad_s).collect())?,
+        magnetic_field: vectors(fields_ut.iter().map(tesla).collect())?,
         temperature: has_temperature.then(|| column(py, celsius)),
         findings: plain(py, &findings)?,
     })

@@ -76,10 +76,7 @@ impl Track {
             sensor: info.sensor,
             origin: info.origin.name(),
             corrected: info.corrected,
-            rate_hz: match info.timeless {
-                true => None,
-                false => info.rate_hz.or_else(by_times),
-            },
+            rate_hz: if info.timeless { None } else { info.rate_hz.or_else(by_times) },
             times: column(py, track.times_ns().iter().map(|ns| *ns as f64 * 1e-9)),
             times_ns: column(py, track.times_ns().iter().copied()),
             values: values.unbind(),

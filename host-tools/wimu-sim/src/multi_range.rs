@@ -81,9 +81,10 @@ impl MultiRange {
     }
 
     fn scene(&self) -> Scene {
-        let hand: Rc<dyn Motion> = match self.waved {
-            true => Rc::new(Hand::new(self.seed, 10.0, 2.2 * STANDARD_GRAVITY_MPS2)),
-            false => Rc::new(Rest::level(10.0)),
+        let hand: Rc<dyn Motion> = if self.waved {
+            Rc::new(Hand::new(self.seed, 10.0, 2.2 * STANDARD_GRAVITY_MPS2))
+        } else {
+            Rc::new(Rest::level(10.0))
         };
         let scene = Scene::new(World::default());
         let parts: [Rc<dyn Motion>; 3] = [Rc::new(Rest::level(3.0)), hand, Rc::new(self.impact)];

@@ -185,9 +185,8 @@ impl Line {
         } else {
             1
         };
-        (0..count).map(move |index| match misread {
-            true => byte.rotate_left(index % 8).wrapping_mul(0x9d) ^ 0xa5,
-            false => byte,
+        (0..count).map(move |index| {
+            if misread { byte.rotate_left(index % 8).wrapping_mul(0x9d) ^ 0xa5 } else { byte }
         })
     }
 
@@ -420,10 +419,7 @@ impl HostEnd {
     /// Time at which [`pull`](Self::pull) returns the next byte under way, µs on the clock.
     pub fn next_arrival_us(&self) -> Option<u64> {
         let line = self.to_host.settled();
-        match line.arrived.is_empty() {
-            true => line.next_step_at(),
-            false => Some(self.to_host.clock.now()),
-        }
+        if line.arrived.is_empty() { line.next_step_at() } else { Some(self.to_host.clock.now()) }
     }
 
     /// Number of lost connections so far; `None` while there is none.

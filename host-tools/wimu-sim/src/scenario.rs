@@ -149,10 +149,7 @@ impl FirstLight {
         let hello = *host.cable.hello();
 
         let has_gyroscope = hello.capabilities.contains(Capabilities::GYROSCOPE);
-        let slide = match has_gyroscope {
-            true => Slide::carry(),
-            false => Slide::default(),
-        };
+        let slide = if has_gyroscope { Slide::carry() } else { Slide::default() };
         let uncalibrated = host.slide(slide, false)?;
         host.set_zupt(true)?;
         host.play(Rc::new(match self.calibration {

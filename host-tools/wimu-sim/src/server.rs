@@ -144,9 +144,10 @@ impl Server {
             let Some(client) = port.client.as_ref().filter(|_| is_punctual) else {
                 continue;
             };
-            let arrives = match port.outgoing.is_empty() {
-                true => self.board.link(port.role).next_arrival_us().map(at),
-                false => Some(now),
+            let arrives = if port.outgoing.is_empty() {
+                self.board.link(port.role).next_arrival_us().map(at)
+            } else {
+                Some(now)
             };
             if let Some(arrives) = arrives {
                 until = until.min(arrives.max(client.written + TOGETHER));

@@ -122,17 +122,6 @@ fn a_full_fifo_drops_the_oldest_and_says_so_until_data_are_read() {
 }
 
 #[test]
-fn a_fifo_that_stops_when_full_keeps_the_oldest() {
-    on_bench(numbered(500), async |clock, _, driver| {
-        start(driver, Rate::Hz400, Fifo::UntilFull { watermark: 31 }).await?;
-        clock.until(clock.now() + 200_000).await;
-        assert_eq!(driver.fifo_level().await?.samples, 32);
-        assert_eq!(number(driver).await?, 0);
-        Ok(())
-    });
-}
-
-#[test]
 fn a_byte_read_alone_is_the_last_of_its_sample() {
     let clock = VirtualClock::new();
     let sensor = Sensor::adxl345(&clock, numbered(500));

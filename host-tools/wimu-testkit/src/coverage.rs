@@ -88,9 +88,10 @@ pub fn coverage_figure(claim: &str, kinds: &[Coverage], target: RangeInclusive<f
     let most = fractions().fold(f64::NEG_INFINITY, f64::max);
     let trials: usize = kinds.iter().map(|kind| kind.total).sum();
     let [low, high] = [least, most].map(|value| format!("{value:.1}"));
-    let measured = match low == high {
-        true => format!("{low} % of {trials}"),
-        false => format!("{low} to {high} % of {trials}"),
+    let measured = if low == high {
+        format!("{low} % of {trials}")
+    } else {
+        format!("{low} to {high} % of {trials}")
     };
     let met = kinds.iter().all(|kind| target.contains(&kind.fraction()));
     figure(claim, measured, &percent(&target), met);

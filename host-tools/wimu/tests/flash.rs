@@ -72,10 +72,8 @@ fn without_a_probe_the_other_procedure_is_described() {
     let folder = tempfile::tempdir().expect("a folder");
     let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
     let flash = wimu(&["device", "flash", "pico", "--image", &pico]);
-    let (exit, code) = match cfg!(feature = "flash") {
-        true => (1, "probe_absent"),
-        false => (2, "feature_missing"),
-    };
+    let (exit, code) =
+        if cfg!(feature = "flash") { (1, "probe_absent") } else { (2, "feature_missing") };
     texts.fails("flash", &flash, exit, code);
     if cfg!(feature = "flash") {
         let ran = wimu(&["device", "flash", "pico", "--image", &pico, "--probe", "pico"]);

@@ -125,9 +125,10 @@ impl<'a> Session<'a> {
 
     /// The turn after rest `k`.
     pub fn turn(&self, k: usize, rates: &Rates<'_>) -> Result<Turn, TurnFault> {
-        match self.contradicted.contains(&k) {
-            true => Err(TurnFault::Contradicted),
-            false => Turn::integrate(self.between(k), rates),
+        if self.contradicted.contains(&k) {
+            Err(TurnFault::Contradicted)
+        } else {
+            Turn::integrate(self.between(k), rates)
         }
     }
 
@@ -188,10 +189,7 @@ fn limit(samples: &[SixAxisSample], axis: usize) -> f64 {
         longest = run.max(longest);
     }
     let is_range = |range: &f64| (most / range - 1.0).abs() < NEAR;
-    match longest >= IN_A_ROW && RANGES_RAD_S.iter().any(is_range) {
-        true => most,
-        false => f64::INFINITY,
-    }
+    if longest >= IN_A_ROW && RANGES_RAD_S.iter().any(is_range) { most } else { f64::INFINITY }
 }
 
 impl AccelerometerCalibration {

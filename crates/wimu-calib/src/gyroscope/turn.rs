@@ -54,9 +54,10 @@ impl Turn {
             }
             before = Some(now);
         }
-        match turn.attitude.iter().all(|c| c.is_finite()) && turn.length_s > 0.0 {
-            true => Ok(turn),
-            false => Err(TurnFault::Gap),
+        if turn.attitude.iter().all(|c| c.is_finite()) && turn.length_s > 0.0 {
+            Ok(turn)
+        } else {
+            Err(TurnFault::Gap)
         }
     }
 

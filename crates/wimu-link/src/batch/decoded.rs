@@ -84,15 +84,13 @@ impl Batch {
     ) -> Result<Self, BatchError> {
         let (forces, rates) =
             self.samples.split_at_mut_checked(self.length).ok_or(BatchError::Length)?;
-        let rates = match self.has_gyroscope {
-            true => rates.get_mut(..self.length).ok_or(BatchError::Length)?,
-            false => &mut [],
+        let rates = if self.has_gyroscope {
+            rates.get_mut(..self.length).ok_or(BatchError::Length)?
+        } else {
+            &mut []
         };
         let mut reader = BitReader::new(bits);
-        let mut shift = |is_given: bool| match is_given {
-            true => reader.pull(S::WIDTH.field()),
-            false => 0,
-        };
+        let mut shift = |is_given: bool| if is_given { reader.pull(S::WIDTH.field()) } else { 0 };
         let shifts = [shift(has_shifts), shift(has_shifts && self.has_gyroscope)];
         let mut latest_k = None;
         for (samples, shift) in [forces, rates].into_iter().zip(shifts) {
@@ -152,10 +150,7 @@ impl Batch {
     /// 2⁻²⁰ rad/s in body axes. Empty without a gyroscope.
     pub fn angular_rates(&self) -> &[[i32; 3]] {
         let rates = self.length..2 * self.length;
-        match self.has_gyroscope {
-            true => self.samples.get(rates).unwrap_or_default(),
-            false => &[],
-        }
+        if self.has_gyroscope { self.samples.get(rates).unwrap_or_default() } else { &[] }
     }
 
     /// The accelerometer's samples of a raw batch of 16 bits; none of another.

@@ -24,10 +24,7 @@ pub(super) fn encode_body<S: Sample>(
     if samples.is_empty() || samples.len() > S::MOST {
         return Err(EncodeError::BatchLength { most: S::MOST });
     }
-    let shifts = [0, 3].map(|from| match from < S::AXES {
-        true => common_shift(samples, from),
-        false => 0,
-    });
+    let shifts = [0, 3].map(|from| if from < S::AXES { common_shift(samples, from) } else { 0 });
 
     let (header, bits) = body.split_first_chunk_mut::<HEADER>().ok_or(EncodeError::NoRoom)?;
     let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();

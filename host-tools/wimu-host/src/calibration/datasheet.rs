@@ -129,9 +129,10 @@ impl DatasheetReport {
             let typical = if first.guaranteed { "" } else { ", typical limits" };
             let text =
                 format!("{}, {}, 95 %{typical}: {}", first.quantity, first.unit, parts.join(", "));
-            match limits.iter().any(|limit| limit.verdict == "beyond") {
-                true => Some(code.warning(text)),
-                false => Some(code.note(text)),
+            if limits.iter().any(|limit| limit.verdict == "beyond") {
+                Some(code.warning(text))
+            } else {
+                Some(code.note(text))
             }
         };
         let by_quantity = self.limits.chunk_by(|a, b| a.quantity == b.quantity);

@@ -406,21 +406,18 @@ impl CalibrationExport {
     fn autopilot(&self, target: ExportTarget) -> String {
         let (offset, scale) = self.diagonal();
         let px4 = target == ExportTarget::Px4;
-        let convention = match px4 {
-            true => {
-                "PX4, for QGroundControl. Accelerometer 0: corrected = (raw - CAL_ACC0_*OFF) * CAL_ACC0_*SCALE, then SENS_BOARD_ROT.\n\
+        let convention = if px4 {
+            "PX4, for QGroundControl. Accelerometer 0: corrected = (raw - CAL_ACC0_*OFF) * CAL_ACC0_*SCALE, then SENS_BOARD_ROT.\n\
                  raw: topic sensor_accel, m/s^2, in its axes: the calibration must have been made from it.\n\
                  The offset is subtracted first; the scale is the diagonal of A^-1, as PX4's own calibration.\n\
                  PX4 uses them only where CAL_ACC0_ID is the device's id: calibrate once on the board, then load this.\n\
                  For another sensor replace the 0 in the names."
-            }
-            false => {
-                "ArduPilot. First accelerometer: corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, then AHRS_ORIENTATION.\n\
+        } else {
+            "ArduPilot. First accelerometer: corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, then AHRS_ORIENTATION.\n\
                  raw: message IMU logged before correction, m/s^2, in its axes: the calibration must have been made from it.\n\
                  The offset is subtracted first; the scale is the diagonal of A^-1.\n\
                  INS_ACC_ID must be that of the sensor: calibrate once on the board, then load this.\n\
                  For the second sensor write INS_ACC2OFFS and INS_ACC2SCAL."
-            }
         };
         let mut out = self.comments(target, convention);
         let mut put = |name: String, value: f64| {
@@ -432,9 +429,10 @@ impl CalibrationExport {
         };
         let bias = |gyroscope: &GyroscopeParameters| gyroscope.model.terms().bias_rad_s;
         let rate = self.stored.gyroscope.as_ref().map(bias);
-        let groups = match px4 {
-            true => [("CAL_ACC0_", "OFF"), ("CAL_ACC0_", "SCALE"), ("CAL_GYRO0_", "OFF")],
-            false => [("INS_ACCOFFS_", ""), ("INS_ACCSCAL_", ""), ("INS_GYROFFS_", "")],
+        let groups = if px4 {
+            [("CAL_ACC0_", "OFF"), ("CAL_ACC0_", "SCALE"), ("CAL_GYRO0_", "OFF")]
+        } else {
+            [("INS_ACCOFFS_", ""), ("INS_ACCSCAL_", ""), ("INS_GYROFFS_", "")]
         };
         for ((start, end), values) in groups.into_iter().zip([Some(offset), Some(scale), rate]) {
             for (axis, value) in ["X", "Y", "Z"].into_iter().zip(values.into_iter().flatten()) {

@@ -219,9 +219,10 @@ impl fmt::Display for GyroscopeReport {
             let bias = signed_with_sd(bias, bias_sd);
             write!(out, "gyroscope {name}: bias {bias} °/s, scale factor ")?;
             let (i, scale) = (MATRIX + 4 * axis, self.model.matrix[axis][axis]);
-            match self.is_observed(i) {
-                true => writeln!(out, "{}", with_sd(scale, sd(i)))?,
-                false => writeln!(out, "not observed, taken as 1 ± {:.2}", sd(i))?,
+            if self.is_observed(i) {
+                writeln!(out, "{}", with_sd(scale, sd(i)))?
+            } else {
+                writeln!(out, "not observed, taken as 1 ± {:.2}", sd(i))?
             }
         }
         let cells = || (0..9).map(|k| (k, k / 3, k % 3));

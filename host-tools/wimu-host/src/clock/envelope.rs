@@ -262,9 +262,10 @@ impl Terms {
                 terms.log_likelihood += log;
             }
             // The least delay of a line that is always busy is unknown.
-            let found = match edge.is_seen() || !room.is_finite() {
-                true => (mean, variance),
-                false => (floor - 0.5 * room, room * room / 12.0),
+            let found = if edge.is_seen() || !room.is_finite() {
+                (mean, variance)
+            } else {
+                (floor - 0.5 * room, room * room / 12.0)
             };
             terms.floors[edge.kind()] = Some(found);
         }

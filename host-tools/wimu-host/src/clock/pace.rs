@@ -153,10 +153,7 @@ impl Pace {
         // A late wake-up does not lower the rate, nor make the next request queue.
         let often = self.often();
         let late = self.latest.map_or(Duration::ZERO, |latest| now.saturating_sub(latest + often));
-        let made_up = match late < often {
-            true => late.min(often / 2),
-            false => Duration::ZERO,
-        };
+        let made_up = if late < often { late.min(often / 2) } else { Duration::ZERO };
         self.latest = Some(now - made_up);
     }
 

@@ -199,9 +199,10 @@ impl Pairs {
         let slower = if other_is_slower { &b.force } else { &a.force };
         for time in &slower.t {
             let time_s = time.since_s(fit.origin);
-            let (ours, theirs) = match other_is_slower {
-                true => (fit.ours(time_s), time_s),
-                false => (time_s, fit.theirs(time_s)),
+            let (ours, theirs) = if other_is_slower {
+                (fit.ours(time_s), time_s)
+            } else {
+                (time_s, fit.theirs(time_s))
             };
             let both = |how| a.at(fit.origin, ours, how).zip(b.at(fit.origin, theirs, how));
             let (Some((x, y)), Some(simple)) = (both(Interp::Quintic), both(Interp::Cubic)) else {

@@ -252,9 +252,10 @@ impl LinkMeter {
         for slice in first..=last {
             let end_ns = self.slicing.end_ns(slice);
             let part = end_ns.saturating_sub(from_ns) as f64 / length_ns;
-            let until = match slice == last {
-                true => missing.count,
-                false => ((part * missing.count as f64).round() as u64).clamp(done, missing.count),
+            let until = if slice == last {
+                missing.count
+            } else {
+                ((part * missing.count as f64).round() as u64).clamp(done, missing.count)
             };
             if let Some(slice) = self.slices.get_mut(slice) {
                 slice.missing += until - done;

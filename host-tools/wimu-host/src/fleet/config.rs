@@ -115,9 +115,10 @@ impl<const DEFAULT: u64, const LEAST: u64, const MOST: u64> TryFrom<u64>
     type Error = String;
 
     fn try_from(number: u64) -> Result<Self, String> {
-        match (LEAST..=MOST).contains(&number) {
-            true => Ok(Self(number)),
-            false => Err(format!("{number} is not within {LEAST} to {MOST}")),
+        if (LEAST..=MOST).contains(&number) {
+            Ok(Self(number))
+        } else {
+            Err(format!("{number} is not within {LEAST} to {MOST}"))
         }
     }
 }

@@ -175,9 +175,10 @@ impl fmt::Display for Broker {
         if let Some(user) = &self.user {
             write!(out, "{user}@")?;
         }
-        match self.host.contains(':') {
-            true => write!(out, "[{}]:{}", self.host, self.port),
-            false => write!(out, "{}:{}", self.host, self.port),
+        if self.host.contains(':') {
+            write!(out, "[{}]:{}", self.host, self.port)
+        } else {
+            write!(out, "{}:{}", self.host, self.port)
         }
     }
 }

@@ -234,14 +234,13 @@ impl Guided {
 
     /// Removes the latest pose.
     pub fn undo(&mut self) {
-        match self.live.undo() {
-            true => {
-                self.view.message =
-                    "the latest pose is removed: rotate the board, then hold it still".to_owned();
-                self.save();
-                self.uncertainty();
-            }
-            false => self.view.message = "there is no pose to remove".to_owned(),
+        if self.live.undo() {
+            self.view.message =
+                "the latest pose is removed: rotate the board, then hold it still".to_owned();
+            self.save();
+            self.uncertainty();
+        } else {
+            self.view.message = "there is no pose to remove".to_owned()
         }
     }
 

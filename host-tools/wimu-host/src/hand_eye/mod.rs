@@ -170,9 +170,10 @@ fn observations(
     }
     let from = poses[0].time_s;
     let length = poses[poses.len() - 1].time_s - from;
-    let blocks = match body.inertial {
-        true => BLOCKS.max((length / INERTIAL_BLOCK_S).ceil() as usize),
-        false => BLOCKS,
+    let blocks = if body.inertial {
+        BLOCKS.max((length / INERTIAL_BLOCK_S).ceil() as usize)
+    } else {
+        BLOCKS
     };
     let place = |pose: StreamPose| {
         let at = (pose.time_s - from) / length * blocks as f64;

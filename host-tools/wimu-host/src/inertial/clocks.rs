@@ -11,10 +11,7 @@ pub(crate) type Span<'a> = (&'a str, [f64; 2]);
 /// Refuses spans that do not overlap.
 pub(crate) fn one_clock(spans: [Span; 2]) -> Result<()> {
     let [(_, [a, b]), (_, [c, d])] = spans;
-    match a <= d && c <= b {
-        true => Ok(()),
-        false => Err(other_clock(spans)),
-    }
+    if a <= d && c <= b { Ok(()) } else { Err(other_clock(spans)) }
 }
 
 /// The error of spans without a common time.

@@ -90,9 +90,10 @@ pub enum Method {
 impl Method {
     /// Method for the samples of one unit.
     fn of(samples: &[Sample]) -> Self {
-        match samples.iter().any(|sample| sample.rate_rad_s.is_some()) {
-            true => Self::Strapdown,
-            false => Self::Tilt,
+        if samples.iter().any(|sample| sample.rate_rad_s.is_some()) {
+            Self::Strapdown
+        } else {
+            Self::Tilt
         }
     }
 }

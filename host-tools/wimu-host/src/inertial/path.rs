@@ -266,13 +266,16 @@ impl InertialPath {
         }
         let sigmas = self.points.iter().map(PathPoint::sd_m);
         let best_m = sigmas.filter(|sd| sd.is_finite()).fold(f64::INFINITY, f64::min);
-        let message = diverged.unwrap_or_else(|| match best_m > self.limit_m {
-            true => format!(
-                "no position is known to {} m: σ is {} m at best",
-                self.limit_m,
-                significant(best_m, 3)
-            ),
-            false => "no position could be found to the limit".to_owned(),
+        let message = diverged.unwrap_or_else(|| {
+            if best_m > self.limit_m {
+                format!(
+                    "no position is known to {} m: σ is {} m at best",
+                    self.limit_m,
+                    significant(best_m, 3)
+                )
+            } else {
+                "no position could be found to the limit".to_owned()
+            }
         });
         Err(Code::DataRefused.error(message, remedy).at(name))
     }

@@ -212,9 +212,10 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         noticed.push(Code::Navigation.warning(text));
     }
     let (motion, level) = sensed.and_then(std::result::Result::ok).unwrap_or_else(|| {
-        let motion = match recording.increments.is_empty() {
-            true => Motion::Free,
-            false => Motion::Odometry(&recording.increments),
+        let motion = if recording.increments.is_empty() {
+            Motion::Free
+        } else {
+            Motion::Odometry(&recording.increments)
         };
         (motion, Rotation3::identity())
     });

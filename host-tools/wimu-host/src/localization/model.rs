@@ -50,9 +50,10 @@ impl RangePrior {
 
     /// That of the kind of recording.
     pub fn of(recording: &RangeRecording) -> Self {
-        match recording.increments.is_empty() || recording.motion.is_some() {
-            true => Self::ULTRA_WIDEBAND,
-            false => Self::VEHICLE,
+        if recording.increments.is_empty() || recording.motion.is_some() {
+            Self::ULTRA_WIDEBAND
+        } else {
+            Self::VEHICLE
         }
     }
 }

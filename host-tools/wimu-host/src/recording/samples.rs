@@ -127,9 +127,10 @@ impl Recording {
             (stated || seen.binary_search(&index).is_ok()).then_some(index)
         };
         // Pose means are not a time series: no samples are missing between them.
-        let gaps = match selection.poses {
-            true => Vec::new(),
-            false => rows.iter().enumerate().filter_map(is_gap).collect(),
+        let gaps = if selection.poses {
+            Vec::new()
+        } else {
+            rows.iter().enumerate().filter_map(is_gap).collect()
         };
         let sampled = rate_source == RateSource::Times
             && rate_hz > MAX_POSE_RATE_HZ
@@ -408,9 +409,10 @@ impl<'a> Samples<'a> {
     pub(crate) fn findings(&self) -> Vec<Problem> {
         let mut findings = self.findings.clone();
         if self.rate_source == RateSource::Assumed && !self.poses {
-            let why = match self.is_timed() {
-                true => "the times are more than a second apart (check their unit)",
-                false => "the data have no times",
+            let why = if self.is_timed() {
+                "the times are more than a second apart (check their unit)"
+            } else {
+                "the data have no times"
             };
             let text = format!("{why}: {} Hz assumed", self.rate_hz);
             findings.push(Code::Rate.warning(text));

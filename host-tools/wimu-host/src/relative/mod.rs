@@ -136,9 +136,10 @@ fn search(
     noticed.extend(recordings.iter().flat_map(|r| r.findings.iter().cloned()));
     noticed.extend(findings::after(&found));
     found.findings = noticed;
-    match found.points.iter().any(|point| point.valid) {
-        true => Ok((found, start, model)),
-        false => Err(at(findings::no_answer())),
+    if found.points.iter().any(|point| point.valid) {
+        Ok((found, start, model))
+    } else {
+        Err(at(findings::no_answer()))
     }
 }
 

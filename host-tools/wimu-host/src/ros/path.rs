@@ -48,10 +48,8 @@ impl Pose {
 
     /// Covariance of position and orientation, axes of the map.
     fn pose_covariance(&self) -> [f64; 36] {
-        let attitude = |i: usize, j: usize| match i == j {
-            true => self.attitude_sd_rad[i].powi(2),
-            false => 0.0,
-        };
+        let attitude =
+            |i: usize, j: usize| if i == j { self.attitude_sd_rad[i].powi(2) } else { 0.0 };
         blocks(|i, j| self.position_covariance[i][j], attitude)
     }
 

@@ -206,10 +206,7 @@ impl Connection for Nus {
     }
 
     async fn write(&self, piece: &[u8], confirmed: bool) -> std::result::Result<(), String> {
-        let kind = match confirmed {
-            true => WriteType::WithResponse,
-            false => WriteType::WithoutResponse,
-        };
+        let kind = if confirmed { WriteType::WithResponse } else { WriteType::WithoutResponse };
         let written = self.peripheral.write(&self.rx, piece, kind).await;
         written.map_err(|error| error.to_string())
     }

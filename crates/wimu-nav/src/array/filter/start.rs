@@ -54,9 +54,10 @@ impl<const M: usize> ArrayFilter<M> {
         let [own, common] = self.bias_variances();
         let bias = own * self.array.solver().covariance()[3][3] + common;
         let excess = force.norm() - g;
-        let (tilt, velocity) = match rest {
-            true => ((bias + excess * excess / 4.0) / (g * g) + 1e-6, 1e-6),
-            false => (MOVING_TILT * MOVING_TILT, MOVING_VELOCITY * MOVING_VELOCITY),
+        let (tilt, velocity) = if rest {
+            ((bias + excess * excess / 4.0) / (g * g) + 1e-6, 1e-6)
+        } else {
+            (MOVING_TILT * MOVING_TILT, MOVING_VELOCITY * MOVING_VELOCITY)
         };
         let diagonal = |variance: f64| Matrix3::from_diagonal_element(variance);
         let mut filter = Filter::new(&self.layout, attitude);

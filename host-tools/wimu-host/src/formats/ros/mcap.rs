@@ -27,10 +27,7 @@ pub(super) fn files<'a>(source: &'a Source, magic: &[u8]) -> Vec<&'a Source> {
     files.sort_by_key(|file| (file.name().len(), file.name().to_owned()));
     let mut members = source.members().iter();
     let bag = files.len() == 1 || members.any(|file| file.name().ends_with("metadata.yaml"));
-    match bag {
-        true => files,
-        false => Vec::new(),
-    }
+    if bag { files } else { Vec::new() }
 }
 
 /// Any MCAP file but recordings of wimu without decoded messages.

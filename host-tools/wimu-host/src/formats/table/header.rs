@@ -76,16 +76,17 @@ pub fn find(source: &Source, quantity: Option<Quantity>) -> Result<Table> {
         let known = |separator: &char| known(&names_of(line, *separator), quantity);
         SEPARATORS.iter().any(|separator| known(separator) >= KNOWN)
     };
-    Err(match start.iter().any(is_header) {
-        true => Code::NoRows.error(
+    Err(if start.iter().any(is_header) {
+Code::NoRows.error(
             "there are no rows below the header",
             "check that the recording was saved completely",
-        ),
-        false => Code::CsvNoHeader.error(
+        )
+} else {
+Code::CsvNoHeader.error(
             "there is no table of numbers in the text",
             "a table starts with column names, such as `Time (s),Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)`",
-        ),
-    }
+        )
+}
     .at(source.name()))
 }
 

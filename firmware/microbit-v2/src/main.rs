@@ -77,6 +77,7 @@ fn start(spawner: Spawner) {
     interrupt::TWISPI0.set_priority(Priority::P1);
     interrupt::EGU1_SWI1.set_priority(Priority::P3);
     interrupt::UARTE0.set_priority(Priority::P2);
+    #[cfg(feature = "full")]
     interrupt::UARTE1.set_priority(Priority::P2);
 
     let fell = wimu_nrf::start_clock(chip.TIMER0);

@@ -107,7 +107,9 @@ pub fn read(source: &Source, options: &ReadOptions, sink: &mut dyn Sink) -> Resu
         },
     };
     refuse_ignored(format, options).map_err(|error| error.at(source.name()))?;
-    if String::from_utf8_lossy(source.start()).contains(Calibration::FAMILY) {
+    let start = String::from_utf8_lossy(source.start());
+    // A recording of wimu holds the text of its calibration, further on.
+    if start.trim_start().starts_with('{') && start.contains(Calibration::FAMILY) {
         let remedy = "give it beside a recording: --with CAL.json";
         let error = Code::UnknownFormat.error("this is a calibration and no recording", remedy);
         return Err(error.at(source.name()));

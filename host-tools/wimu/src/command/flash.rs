@@ -4,9 +4,10 @@ mod image;
 #[cfg(feature = "flash")]
 mod probe;
 
-use std::ops::Range;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use wimu_host::{Code, Result};
 
 use crate::arguments::{Board, Flash};
@@ -15,84 +16,82 @@ use crate::output::{Output, usage};
 /// What is known of a board.
 struct Facts {
     name: &'static str,
-    /// Name of the chip in probe-rs, its memory, and the address of an image's vector table.
+    /// Name of the chip in probe-rs, where its stack may begin, and the address of an image's vector table.
     chip: &'static str,
-    flash: Range<u32>,
-    ram: Range<u32>,
+    stack: RangeInclusive<u32>,
     vectors: u32,
-    /// The image that `cargo xtask firmware` writes.
-    file: &'static str,
-    /// Name of the drive that takes it, and how the board shows it.
-    drive: &'static str,
-    shown: &'static str,
-    /// Family of its UF2 blocks.
+    /// Family of its UF2 blocks; an image without one is Intel HEX.
     family: Option<u32>,
+    /// Name of the drive that takes an image, a file on it and a text in that file, and how the board shows it.
+    drive: &'static str,
+    mark: (&'static str, &'static str),
+    shown: &'static str,
 }
 
-const MICROBIT: Facts = Facts {
-    name: "microbit-v2",
-    chip: "nRF52833_xxAA",
-    flash: 0..0x8_0000,
-    ram: 0x2000_0000..0x2002_0000,
-    vectors: 0,
-    file: "target/firmware/microbit-v2.hex",
-    drive: "MICROBIT",
-    shown: "connect its USB cable",
-    family: None,
-};
-const PICO: Facts = Facts {
-    name: "pico",
-    chip: "RP2040",
-    flash: 0x1000_0000..0x1020_0000,
-    ram: 0x2000_0000..0x2004_2000,
-    vectors: 0x1000_0100,
-    file: "target/firmware/pico.uf2",
-    drive: "RPI-RP2",
-    shown: "hold BOOTSEL while you connect its USB cable",
-    family: Some(0xe48b_ff56),
-};
-/// The bootloader's drive takes what it does not need itself.
-const XIAO: Facts = Facts {
-    name: "xiao-nrf52840",
-    chip: "nRF52840_xxAA",
-    flash: 0x2_7000..0xF_4000,
-    ram: 0x2000_0000..0x2004_0000,
-    vectors: 0x2_7000,
-    file: "target/firmware/xiao-nrf52840.uf2",
-    drive: "XIAO-SENSE",
-    shown: "press its reset button twice within half a second",
-    family: Some(0xada5_2840),
-};
-
 impl Board {
-    const ALL: [Self; 3] = [Self::MicrobitV2, Self::Pico, Self::XiaoNrf52840];
-
-    const fn facts(self) -> &'static Facts {
+    fn facts(self) -> Facts {
         match self {
-            Self::MicrobitV2 => &MICROBIT,
-            Self::Pico => &PICO,
-            Self::XiaoNrf52840 => &XIAO,
+            Self::MicrobitV2 => Facts {
+                name: "microbit-v2",
+                chip: "nRF52833_xxAA",
+                stack: 0x2000_0004..=0x2002_0000,
+                vectors: 0,
+                family: None,
+                drive: "MICROBIT",
+                mark: ("DETAILS.TXT", "micro:bit"),
+                shown: "connect its USB cable",
+            },
+            Self::Pico => Facts {
+                name: "pico",
+                chip: "RP2040",
+                stack: 0x2000_0004..=0x2004_2000,
+                vectors: 0x1000_0100,
+                family: Some(0xe48b_ff56),
+                drive: "RPI-RP2",
+                mark: ("INFO_UF2.TXT", "RPI-RP2"),
+                shown: "hold BOOTSEL while you connect its USB cable",
+            },
+            Self::XiaoNrf52840 => Facts {
+                name: "xiao-nrf52840",
+                chip: "nRF52840_xxAA",
+                stack: 0x2000_0004..=0x2004_0000,
+                vectors: 0x2_7000,
+                family: Some(0xada5_2840),
+                drive: "XIAO-SENSE",
+                mark: ("INFO_UF2.TXT", "XIAO"),
+                shown: "press its reset button twice within half a second",
+            },
         }
+    }
+}
+
+impl Facts {
+    /// The image that `cargo xtask firmware` writes.
+    fn file(&self) -> String {
+        let extension = if self.family.is_some() { "uf2" } else { "hex" };
+        format!("target/firmware/{}.{extension}", self.name)
+    }
+
+    /// Whether `drive` is that of the board: by its name, or where the system gives it none, by a file on it.
+    fn has_drive(&self, drive: &Path) -> bool {
+        let (file, text) = self.mark;
+        drive.file_name().is_some_and(|name| name == self.drive)
+            || std::fs::read_to_string(drive.join(file)).is_ok_and(|found| found.contains(text))
     }
 }
 
 /// A firmware image, checked to be for its board.
 struct Image {
-    board: &'static Facts,
+    board: Facts,
     file: PathBuf,
     bytes: Vec<u8>,
-    #[cfg_attr(not(feature = "flash"), allow(dead_code, reason = "a drive takes the file"))]
-    segments: Vec<image::Segment>,
 }
 
 pub fn run(arguments: &Flash, output: &Output) -> Result<()> {
     let drives = arguments.drive.clone().map_or_else(mounted, |drive| vec![drive]);
-    let board = match arguments.board {
-        Some(board) => board.facts(),
-        None => on_drives(&drives)?,
-    };
+    let board = arguments.board.map_or_else(|| on_drives(&drives), |board| Ok(board.facts()))?;
     let image = read(board, arguments.image.clone())?;
-    let named = |drive: &&PathBuf| arguments.drive.is_some() || is_drive_of(drive, board);
+    let named = |drive: &&PathBuf| arguments.drive.is_some() || image.board.has_drive(drive);
     match drives.iter().find(named) {
         Some(drive) if arguments.probe.is_none() => copy(&image, drive, output),
         _ => write(&image, arguments, output),
@@ -100,13 +99,13 @@ pub fn run(arguments: &Flash, output: &Output) -> Result<()> {
 }
 
 /// The only board whose drive is there.
-fn on_drives(drives: &[PathBuf]) -> Result<&'static Facts> {
-    let all = Board::ALL.map(Board::facts);
-    let shown = |facts: &&&Facts| drives.iter().any(|drive| is_drive_of(drive, facts));
-    let found: Vec<_> = all.iter().filter(shown).collect();
-    match found[..] {
-        [board] => Ok(board),
-        [] => Err(usage(
+fn on_drives(drives: &[PathBuf]) -> Result<Facts> {
+    let mut boards: Vec<Facts> =
+        Board::value_variants().iter().map(|board| board.facts()).collect();
+    boards.retain(|board| drives.iter().any(|drive| board.has_drive(drive)));
+    match (boards.pop(), boards.is_empty()) {
+        (Some(board), true) => Ok(board),
+        (None, _) => Err(usage(
             "no board shows its drive",
             "name the board: wimu device flash --help lists them",
         )),
@@ -129,21 +128,9 @@ fn mounted() -> Vec<PathBuf> {
     folders
 }
 
-/// Whether `drive` is that of a board: by its name, or where the system gives it none, by the file of its bootloader.
-fn is_drive_of(drive: &Path, board: &Facts) -> bool {
-    let info = std::fs::read_to_string(drive.join("INFO_UF2.TXT")).unwrap_or_default();
-    let id = info.lines().find_map(|line| line.strip_prefix("Board-ID:"));
-    let known = match board.name {
-        "pico" => id.is_some_and(|id| id.trim() == "RPI-RP2"),
-        "xiao-nrf52840" => id.is_some_and(|id| id.contains("XIAO")),
-        _ => drive.join("DETAILS.TXT").is_file() && drive.join("MICROBIT.HTM").is_file(),
-    };
-    known || drive.file_name().is_some_and(|name| name == board.drive)
-}
-
 /// Reads an image and checks that it is for the board.
-fn read(board: &'static Facts, file: Option<PathBuf>) -> Result<Image> {
-    let file = file.unwrap_or_else(|| board.file.into());
+fn read(board: Facts, file: Option<PathBuf>) -> Result<Image> {
+    let file = file.unwrap_or_else(|| board.file().into());
     let location = file.display().to_string();
     let bytes = std::fs::read(&file).map_err(|error| {
         let remedy =
@@ -155,44 +142,38 @@ fn read(board: &'static Facts, file: Option<PathBuf>) -> Result<Image> {
         let remedy = "give an Intel HEX or UF2 file; `cargo xtask firmware` builds them";
         Code::UnknownFormat.error("this is not a complete firmware image", remedy).at(&location)
     })?;
-    if let Some(why) = image::objection(board, &bytes, &segments) {
+    if let Some(why) = image::objection(&board, &bytes, &segments) {
         let text = format!("this image is not for a {}: {why}", board.name);
         let remedy =
-            format!("give the board's own image: `cargo xtask firmware` writes {}", board.file);
+            format!("give the board's own image: `cargo xtask firmware` writes {}", board.file());
         return Err(Code::WrongImage.error(text, remedy).at(&location));
     }
-    Ok(Image { board, file, bytes, segments })
+    Ok(Image { board, file, bytes })
 }
 
 /// Copies the file; the board writes it and starts it.
 fn copy(image: &Image, drive: &Path, output: &Output) -> Result<()> {
-    let name = image.file.file_name().unwrap_or_default();
     let failed = |error: std::io::Error| {
         let text = format!("the image cannot be copied: {error}");
         let remedy = format!("{}, and try again", image.board.shown);
         Code::FlashFailed.error(text, remedy).at(drive.display().to_string())
     };
-    let mut file = std::fs::File::create(drive.join(name)).map_err(failed)?;
-    std::io::Write::write_all(&mut file, &image.bytes).map_err(failed)?;
+    let copy = drive.join(image.file.file_name().unwrap_or_default());
+    let mut copy = std::fs::File::create(copy).map_err(failed)?;
+    std::io::Write::write_all(&mut copy, &image.bytes).map_err(failed)?;
     // The drive may be gone by then: the board has restarted.
-    let _ = file.sync_all();
+    let _ = copy.sync_all();
     done(image, &drive.display().to_string(), output);
     Ok(())
 }
 
 fn done(image: &Image, to: &str, output: &Output) {
-    #[derive(serde::Serialize)]
-    struct Written<'a> {
-        board: &'a str,
-        to: &'a str,
-        image: String,
-        bytes: usize,
-    }
     let (board, bytes, file) = (image.board.name, image.bytes.len(), image.file.display());
     output.print(format!(
         "wrote {file} ({bytes} bytes) to the {board} at {to}; `wimu device ports` shows its port"
     ));
-    output.object(&Written { board, to, image: file.to_string(), bytes });
+    let image = file.to_string();
+    output.object(&serde_json::json!({ "board": board, "to": to, "image": image, "bytes": bytes }));
 }
 
 #[cfg(feature = "flash")]
@@ -200,13 +181,13 @@ use probe::write;
 
 #[cfg(not(feature = "flash"))]
 fn write(image: &Image, arguments: &Flash, _: &Output) -> Result<()> {
-    // Used by the build with the feature only.
-    let Flash { probe: _, erase_all: _, .. } = arguments;
-    let Facts { name, drive, shown, .. } = image.board;
+    // Used with the feature only.
+    let Flash { erase_all: _, .. } = arguments;
+    let Facts { name, drive, shown, .. } = &image.board;
     let text = format!(
         "the {name} shows no drive, and this wimu was built without support for debug probes"
     );
     let probe = format!("cargo run --release -p wimu --features flash -- device flash {name}");
-    Err(Code::FeatureMissing
-        .error(text, format!("let it show its drive {drive} ({shown}), or: {probe}")))
+    let remedy = format!("let it show its drive {drive} ({shown}), or: {probe}");
+    Err(Code::FeatureMissing.error(text, remedy))
 }

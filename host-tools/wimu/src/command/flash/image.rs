@@ -20,27 +20,15 @@ pub fn objection(board: &Facts, file: &[u8], segments: &[Segment]) -> Option<Str
     if family != board.family {
         return Some("its format or its UF2 family is that of another board".into());
     }
-    let Facts { chip, flash, ram, vectors, .. } = board;
-    for (address, bytes) in segments {
-        let end = u64::from(*address) + bytes.len() as u64;
-        if *address < flash.start || end > u64::from(flash.end) {
-            return Some(format!(
-                "it has data at {address:#010x}, outside the flash of the {chip} ({:#010x} to {:#010x})",
-                flash.start, flash.end
-            ));
-        }
-    }
-    let at_vectors = segments.iter().find_map(|(start, bytes)| {
-        let offset = vectors.checked_sub(*start)? as usize;
-        word(bytes, offset)
-    });
-    let Some(stack) = at_vectors else {
+    let Facts { chip, stack, vectors, .. } = board;
+    let in_segment = |(start, bytes): &Segment| word(bytes, vectors.checked_sub(*start)? as usize);
+    let Some(first) = segments.iter().find_map(in_segment) else {
         return Some(format!("it has no vector table at {vectors:#010x}"));
     };
-    (!(ram.start + 4..=ram.end).contains(&stack)).then(|| {
+    (!stack.contains(&first)).then(|| {
+        let end = stack.end();
         format!(
-            "its stack begins at {stack:#010x}, outside the RAM of the {chip} ({:#010x} to {:#010x})",
-            ram.start, ram.end
+            "its stack begins at {first:#010x}, outside the RAM of the {chip} (up to {end:#010x})"
         )
     })
 }
@@ -49,22 +37,13 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
 
-/// Intel HEX.
+/// Intel HEX: a segment for each line.
 fn hex(text: &str) -> Option<Vec<Segment>> {
-    let mut segments: Vec<Segment> = Vec::new();
-    let mut upper = 0_u32;
+    let (mut segments, mut upper) = (Vec::new(), 0_u32);
     for record in ihex::Reader::new(text) {
         match record.ok()? {
             Record::Data { offset, value } => {
-                let address = upper.checked_add(offset.into())?;
-                match segments.last_mut() {
-                    Some((start, bytes))
-                        if u64::from(*start) + bytes.len() as u64 == u64::from(address) =>
-                    {
-                        bytes.extend(value);
-                    }
-                    _ => segments.push((address, value)),
-                }
+                segments.push((upper.checked_add(offset.into())?, value))
             }
             Record::EndOfFile => return Some(segments),
             Record::ExtendedSegmentAddress(high) => upper = u32::from(high) << 4,
@@ -97,12 +76,14 @@ fn uf2(file: &[u8]) -> Option<Vec<Segment>> {
 
 #[cfg(test)]
 mod tests {
+    use clap::ValueEnum as _;
+
     use super::*;
     use crate::arguments::Board;
 
     /// Vectors whose stack begins at the end of a chip's memory.
     fn image(board: &Facts) -> (Vec<u8>, Vec<Segment>) {
-        let mut code = board.ram.end.to_le_bytes().to_vec();
+        let mut code = board.stack.end().to_le_bytes().to_vec();
         code.resize(64, 0xA5);
         let mut file = vec![0; 32];
         match board.family {
@@ -114,13 +95,13 @@ mod tests {
 
     #[test]
     fn an_image_is_for_its_own_board_only() {
-        for own in Board::ALL.map(Board::facts) {
+        let boards = Board::value_variants();
+        for own in boards.iter().map(|board| &board.facts()) {
             let (file, segments) = image(own);
             assert_eq!(objection(own, &file, &segments), None);
-            for other in
-                Board::ALL.map(Board::facts).into_iter().filter(|other| other.name != own.name)
-            {
-                assert!(objection(other, &file, &segments).is_some(), "{}", other.name);
+            for other in boards.iter().map(|board| board.facts()) {
+                let found = objection(&other, &file, &segments);
+                assert_eq!(found.is_none(), other.name == own.name, "{}", other.name);
             }
             // Another chip with flash at the same place has its memory elsewhere, or more of it.
             let stack = 0x2040_0000_u32.to_le_bytes();
@@ -137,7 +118,7 @@ mod tests {
     fn hex_lines_are_read_at_their_addresses_and_damage_is_found() {
         let text =
             ":020000040001F9\n:02FFFE0021469A\n:020000040002F8\n:020000000136C7\n:00000001FF\n";
-        let expected = vec![(0x1_fffe, vec![0x21, 0x46, 0x01, 0x36])];
+        let expected = vec![(0x1_fffe, vec![0x21, 0x46]), (0x2_0000, vec![0x01, 0x36])];
         assert_eq!(segments(text.as_bytes()), Some(expected));
         for damaged in [
             &text[..text.len() - 13],

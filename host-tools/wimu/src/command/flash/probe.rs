@@ -5,7 +5,7 @@ use std::str::FromStr;
 use probe_rs::architecture::arm::ArmError;
 use probe_rs::flashing::DownloadOptions;
 use probe_rs::probe::DebugProbeSelector;
-use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
+use probe_rs::probe::list::{Lister, ProbeListItem};
 use probe_rs::{Permissions, Session};
 use wimu_host::{Code, Problem, Result};
 
@@ -13,17 +13,20 @@ use super::{Facts, Image};
 use crate::arguments::Flash;
 use crate::output::{Output, usage};
 
+/// How the logged-in user may open a probe.
+const UDEV: &str = "on Linux, install the udev rules of https://probe.rs/docs/getting-started/probe-setup and reconnect it";
+
 /// Value for `--probe`.
 fn selector(probe: &ProbeListItem) -> String {
     DebugProbeSelector::from(&probe.info).to_string()
 }
 
 pub fn write(image: &Image, arguments: &Flash, output: &Output) -> Result<()> {
-    let probe = choose(arguments.probe.as_deref(), image)?;
+    let probe = choose(arguments.probe.as_deref(), &image.board)?;
     let mut session = attach(&probe, image.board.chip, arguments.erase_all, output)?;
     let mut loader = session.target().flash_loader();
-    for (address, content) in &image.segments {
-        let added = loader.add_data(u64::from(*address), content);
+    for (address, content) in super::image::segments(&image.bytes).unwrap_or_default() {
+        let added = loader.add_data(address.into(), &content);
         added.map_err(|error| failed("the image does not fit the chip", &error))?;
     }
     let mut options = DownloadOptions::new();
@@ -41,52 +44,27 @@ pub fn write(image: &Image, arguments: &Flash, output: &Output) -> Result<()> {
 }
 
 /// The named probe, or the only one.
-fn choose(named: Option<&str>, image: &Image) -> Result<ProbeListItem> {
-    let wanted = named
-        .map(|text| {
-            DebugProbeSelector::from_str(text).map_err(|error| {
-                usage(
-                    format!("`{text}` is not a probe selector: {error}"),
-                    "give VENDOR:PRODUCT or VENDOR:PRODUCT:SERIAL, hexadecimal",
-                )
-            })
-        })
-        .transpose()?;
+fn choose(named: Option<&str>, board: &Facts) -> Result<ProbeListItem> {
+    let wanted = named.map(DebugProbeSelector::from_str).transpose().map_err(|error| {
+        let remedy = "give VENDOR:PRODUCT or VENDOR:PRODUCT:SERIAL, hexadecimal";
+        usage(format!("--probe is not a probe selector: {error}"), remedy)
+    })?;
     let mut probes = Lister::new().list_with_access(wanted.as_ref());
-    match probes.len() {
-        0 => {
-            let text = match named {
-                Some(named) => format!("there is no debug probe {named}"),
-                None => "no debug probe is connected".into(),
-            };
-            let Facts { drive, shown, .. } = image.board;
-            let remedy = format!("connect one, or let the board show its drive {drive}: {shown}");
-            Err(Code::ProbeAbsent.error(text, remedy))
-        }
-        1 => {
-            let probe = probes.remove(0);
-            if probe.accessibility == Accessibility::PermissionDenied {
-                return Err(forbidden(&probe));
-            }
-            Ok(probe)
-        }
-        _ => {
-            let known: Vec<String> = probes.iter().map(selector).collect();
-            Err(usage(
-                format!("there are {} debug probes", known.len()),
-                format!("name one: --probe {}", known.join(" or --probe ")),
-            ))
-        }
+    let Some(probe) = probes.pop() else {
+        let text = named.map_or("no debug probe is connected".into(), |named| {
+            format!("there is no debug probe {named}")
+        });
+        let Facts { drive, shown, .. } = board;
+        let remedy = format!("connect one, or let the board show its drive {drive}: {shown}");
+        return Err(Code::ProbeAbsent.error(text, remedy));
+    };
+    if probes.is_empty() {
+        return Ok(probe);
     }
+    let known: Vec<String> = probes.iter().chain([&probe]).map(selector).collect();
+    let remedy = format!("name one: --probe {}", known.join(" or --probe "));
+    Err(usage(format!("there are {} debug probes", known.len()), remedy))
 }
-
-fn forbidden(probe: &ProbeListItem) -> Problem {
-    let text = format!("no permission to open the probe {}", probe.info);
-    Code::ProbePermission.error(text, UDEV).at(selector(probe))
-}
-
-/// How the logged-in user may open a probe.
-const UDEV: &str = "on Linux, install the udev rules of https://probe.rs/docs/getting-started/probe-setup and reconnect it";
 
 /// Attaches to the chip. Unlocking a locked chip erases it and needs `--erase-all`.
 fn attach(probe: &ProbeListItem, chip: &str, erase_all: bool, output: &Output) -> Result<Session> {
@@ -138,17 +116,19 @@ fn chain(error: &dyn std::error::Error) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::ValueEnum as _;
+
     use super::*;
     use crate::arguments::Board;
 
     #[test]
     fn probe_rs_knows_the_chips_and_has_flash_where_the_images_are() {
         let registry = probe_rs::config::Registry::from_builtin_families();
-        for board in Board::ALL.map(Board::facts) {
+        for board in Board::value_variants().iter().map(|board| board.facts()) {
             let target = registry.get_target_by_name(board.chip).expect(board.chip);
             let mut loader = target.flash_loader();
             loader.add_data(board.vectors.into(), &[0; 64]).expect("flash at the vectors");
-            assert!(loader.add_data(board.ram.end.into(), &[0; 64]).is_err());
+            assert!(loader.add_data((*board.stack.end()).into(), &[0; 64]).is_err());
         }
     }
 

@@ -387,7 +387,7 @@ impl fmt::Display for SeveralReport {
             0.0 => self.gravity_m_s2.to_string(),
             sd => with_sd(self.gravity_m_s2, sd),
         };
-        write!(out, "{}, g = {gravity:.5} m/s²; ± is 1 σ of a new session", self.method)
+        write!(out, "{}, g = {gravity} m/s²; ± is 1 σ of a new session", self.method)
     }
 }
 

@@ -58,7 +58,7 @@ pub struct TrackSummary {
     pub rows: u64,
     /// Rows that are not finite numbers.
     pub not_finite: u64,
-    /// Median rate of the first rows, Hz.
+    /// Mean rate of the first rows without gaps, Hz.
     pub rate_hz: Option<f64>,
     /// Steps in which three samples and more are missing.
     pub gaps: u64,

@@ -96,19 +96,19 @@ mod tests {
     #[test]
     fn an_image_is_for_its_own_board_only() {
         let boards = Board::value_variants();
-        for own in boards.iter().map(|board| &board.facts()) {
-            let (file, segments) = image(own);
-            assert_eq!(objection(own, &file, &segments), None);
+        for own in boards.iter().map(|board| board.facts()) {
+            let (file, segments) = image(&own);
+            assert_eq!(objection(&own, &file, &segments), None);
             for other in boards.iter().map(|board| board.facts()) {
                 let found = objection(&other, &file, &segments);
                 assert_eq!(found.is_none(), other.name == own.name, "{}", other.name);
             }
             // Another chip with flash at the same place has its memory elsewhere, or more of it.
             let stack = 0x2040_0000_u32.to_le_bytes();
-            let why = objection(own, &file, &[(own.vectors, stack.to_vec())]).expect("refused");
+            let why = objection(&own, &file, &[(own.vectors, stack.to_vec())]).expect("refused");
             assert!(why.contains("0x20400000"), "{why}");
             assert!(
-                objection(own, &file, &[(own.vectors + 4, vec![0; 64])]).is_some(),
+                objection(&own, &file, &[(own.vectors + 4, vec![0; 64])]).is_some(),
                 "no vectors"
             );
         }

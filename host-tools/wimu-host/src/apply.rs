@@ -127,7 +127,7 @@ impl<'a> CorrectedRecording<'a> {
         let at = |error: Problem| error.at(&recording.name);
         let force = chosen(recording, Quantity::SpecificForce);
         let force = force.ok_or_else(|| at(no_force(recording)))?;
-        if force.info.timeless {
+        if force.info.timeless && calibration.is_none() {
             let text = "there are no times, and a recording has some";
             return Err(at(Code::NoRows.error(text, "give --rate HZ")));
         }

@@ -80,6 +80,8 @@ fn cases(set: &ParameterSet, of_counts: bool) -> Vec<Case> {
         let sensed = rate.map(|axis| axis * gyroscope.rad_s_per_lsb);
         let turned = gyroscope.model.correct(sensed, force, Some(temperature));
         let ([x, y, z], [u, v, w]) = (set.alignment.rotate(force), set.alignment.rotate(turned));
+        // Beside accelerations in m/s² the gyroscope's output is in rad/s.
+        let rate = if of_counts { rate } else { sensed };
         Case { output, rate, temperature, expected: [x, y, z, u, v, w] }
     };
     (0..20).map(one).collect()

@@ -150,7 +150,7 @@ fn unknown_units_of_times_are_reported() {
     let finding = recording.findings.iter().find(|finding| finding.text.contains("`days`"));
     let finding = finding.unwrap();
     assert_eq!(finding.severity, Severity::Warning);
-    assert!(finding.remedy.contains("t=COLUMN:s"), "{finding}");
+    assert!(finding.remedy.contains("Time (ms)"), "{finding}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use wimu_calib::Gravity;
 use wimu_host::Code;
 use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use wimu_host::imu::{Imu, Sample};
-use wimu_host::inertial::{Aids, Choice, InertialPath, Method, StartPose, Zupt, navigate};
+use wimu_host::inertial::{Aids, Choice, InertialPath, Method, Profile, StartPose, Zupt, navigate};
 use wimu_host::series::{Flags, Ns};
 
 /// A file that is removed when dropped.
@@ -78,6 +78,29 @@ fn position_is_measured_from_the_end_of_the_first_rest_however_long_it_was() {
         let (_, below) = path.consistency().unwrap();
         assert!(below > 0.9, "{rest_s}: {below}");
     }
+}
+
+#[test]
+fn what_one_axis_shows_alone_in_a_sample_is_left_out() {
+    let whole = slide_after(2.0, 0.0);
+    let mut faulty = whole.clone();
+    faulty.samples.v[400].force_mps2[0] += 40.0;
+    faulty.samples.v[430].rate_rad_s = Some([0.0, 20.0, 0.0].into());
+    let [path, expected] =
+        [&faulty, &whole].map(|recording| navigate(recording, &Choice::default()).unwrap());
+    assert!(said(&path, "departs") && !said(&expected, "departs"));
+    assert_eq!(path.points.len(), whole.samples.len());
+    let end = |path: &InertialPath| path.points[path.points.len() - 1].position_m[0];
+    assert!((end(&path) - end(&expected)).abs() < 0.01, "{} {}", end(&path), end(&expected));
+}
+
+#[test]
+fn a_slide_is_not_taken_for_a_foot() {
+    let choice = Choice { profile: Profile::Foot, ..Choice::default() };
+    let path = navigate(&slide_after(2.0, 0.0), &choice).unwrap();
+    assert!(said(&path, "no foot swings"));
+    let last = path.points[path.points.len() - 1];
+    assert!((last.position_m[0] - 0.5).abs() < 3.0 * last.sd_m(), "{last:?}");
 }
 
 /// Two rests with a turn of 1 rad about x between, as a gyroscope with its scale times `scale` shows it.

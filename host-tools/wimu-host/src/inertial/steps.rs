@@ -38,9 +38,13 @@ pub(super) fn steps(
     (steps >= STEPS && in_steps_s > PART * between_s).then_some(steps)
 }
 
+/// Whether a sensor rotates anywhere as a foot does in its swings.
+pub(super) fn turns_like_a_foot(samples: &[Sample]) -> bool {
+    samples.iter().any(|sample| sample.rate_rad_s.is_some_and(|rate| rate.norm() > SWING_RAD_S))
+}
+
 fn is_swing(samples: &[Sample]) -> bool {
-    let mut rates = samples.iter().filter_map(|sample| sample.rate_rad_s.as_ref());
     let excess = |force: &Vector3<f64>| (force.norm() - GRAVITY_MPS2).abs();
-    rates.any(|rate| rate.norm() > SWING_RAD_S)
+    turns_like_a_foot(samples)
         && samples.iter().any(|sample| excess(&sample.force_mps2) > SWING_MPS2)
 }

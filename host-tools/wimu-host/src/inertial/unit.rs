@@ -13,7 +13,7 @@ use super::aids::position::LOOP;
 use super::moves::moves;
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
-use super::steps::steps;
+use super::steps::{steps, turns_like_a_foot};
 use super::{Choice, InertialPath, Method};
 use crate::imu::Imu;
 use crate::plural::counted;
@@ -132,8 +132,14 @@ impl<'a> Unit<'a> {
         }
         let clipped = [(self.clipped.len(), "not used: σ grows there")];
         findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
-        if choice.profile == Profile::Hand && method == Method::Strapdown {
-            findings.extend(self.foot());
+        match choice.profile {
+            Profile::Hand if method == Method::Strapdown => findings.extend(self.foot()),
+            Profile::Foot if !turns_like_a_foot(self.samples) => {
+                let text = "no foot swings in it: velocity is taken as zero at rests alone";
+                let remedy = "if it was on none, leave --profile foot out";
+                findings.push(Code::Navigation.warning(text).remedy(remedy));
+            }
+            _ => {}
         }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
         if !has_origin && path.points[from..].iter().all(|point| point.resting) {
@@ -247,9 +253,10 @@ impl<'a> Unit<'a> {
         at_rest.collect()
     }
 
-    /// The stances of a foot: the standard deviation of the velocity there, m/s.
+    /// The stances of a foot: the standard deviation of the velocity there, m/s. What does not turn like a foot has none.
     fn stances(&self, choice: &Choice) -> Vec<Option<f64>> {
-        if choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored {
+        let are_given = choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored;
+        if are_given || !turns_like_a_foot(self.samples) {
             return vec![None; self.samples.len()];
         }
         self.found_stances()

@@ -83,7 +83,10 @@ impl NoiseOfTracks {
         let index = |is: &dyn Fn(&Track) -> bool| recording.tracks().iter().position(is);
         let force = chosen.as_ref().ok().and_then(|track| index(&|one| std::ptr::eq(one, *track)));
         let rate = index(&|track| is_gyroscope(&track.info));
-        if let (Err(error), true) = (chosen, rate.is_none() || accelerometer.is_some()) {
+        let serves_without = rate.is_some() && accelerometer.is_none();
+        if let Err(error) = chosen
+            && !(serves_without && error.code == Code::NoRows)
+        {
             return Err(error);
         }
         let mut rates = Vec::new();

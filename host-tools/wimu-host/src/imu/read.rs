@@ -129,13 +129,19 @@ fn accelerometer(recording: &Recording) -> Result<&Track> {
 
 fn without_unit(recording: &Recording) -> Problem {
     let of_gravity = |finding: &&Problem| finding.code == Code::GravityMissing;
-    let names: Vec<&str> =
+    let mut names: Vec<&str> =
         recording.of(Quantity::SpecificForce).map(|track| track.info.name.as_str()).collect();
-    match (recording.findings.iter().find(of_gravity), names.len()) {
-        (Some(missing), 0) => {
+    let count = names.len();
+    names.dedup();
+    match (recording.findings.iter().find(of_gravity), names.as_slice()) {
+        (Some(missing), []) => {
             Code::DataRefused.error(missing.text.clone(), missing.remedy.clone())
         }
-        (_, count @ 2..) => Code::CsvMissingColumn.error(
+        (_, [name]) if count > 1 => Code::Usage.error(
+            format!("it has {count} accelerometers of the same name: {name}"),
+            "give one file of the folder or archive",
+        ),
+        (_, [_, _, ..]) => Code::CsvMissingColumn.error(
             format!("it has {count} accelerometers: {}", names.join(", ")),
             "choose one with --topic; for several on one body give --setup geometry=FILE, or --setup full_scales_g=[G,G] where their ranges differ",
         ),

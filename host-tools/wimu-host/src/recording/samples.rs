@@ -222,8 +222,10 @@ impl Recording {
             return fail(Code::CsvMixedUnits, &text, remedy);
         }
         if ranges.is_empty() && of_sensor.len() > 1 {
-            let names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
-            let text = format!("several accelerometers have the same number: {}", names.join(", "));
+            let mut names: Vec<&str> = all.iter().map(|t| t.info.name.as_str()).collect();
+            names.dedup();
+            let (count, names) = (of_sensor.len(), names.join(", "));
+            let text = format!("{count} accelerometers have the same number: {names}");
             let remedy = "give one file of the folder or archive, or choose with --topic";
             return fail(Code::Usage, &text, remedy.to_owned());
         }

@@ -195,7 +195,10 @@ fn a_table_of_fixes_may_leave_out_columns_and_values() {
     assert!((heading.value[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     std::fs::write(&file, "Time (s),Depth (m)\n1,2\n").unwrap();
     let refused = Aids::read(&file, &Mounting::default()).unwrap_err();
-    assert!(refused.to_string().contains("`Position E (m)` is missing"), "{refused}");
+    assert!(refused.to_string().contains("no column is a measurement"), "{refused}");
+    std::fs::write(&file, "Time (s),Velocity E (m/s)\n1,2\n").unwrap();
+    let refused = Aids::read(&file, &Mounting::default()).unwrap_err();
+    assert!(refused.to_string().contains("`Velocity N` is missing"), "{refused}");
 }
 
 #[test]

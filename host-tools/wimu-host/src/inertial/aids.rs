@@ -2,7 +2,8 @@
 //!
 //! A [`Kind`] names its columns, their unit, its usual σ, the states that it adds to the filter, and how a value updates the
 //! navigator. Reading, order of time, lever arm, σ of the time, tests, counts, residuals, findings, JSON and report are common
-//! to all kinds: a new one is a file beside [`position`] and a line in [`KINDS`], and the command reads it with `--fixes`.
+//! to all kinds: a new one is a file beside [`position`] with its `mod`, and a line in [`KINDS`], and the command reads it with
+//! `--fixes`.
 //!
 //! A barometer that is not calibrated, as the file would have it:
 //!
@@ -111,7 +112,7 @@ pub struct Kind {
     /// Names of the column of each value, without the unit; none of a kind that is not read from a table. The column of
     /// σ has the word `Sigma` at the end, or before an axis.
     pub columns: &'static [&'static [&'static str]],
-    /// Size of units in SI units, and their names in lower case.
+    /// Size of units in SI units, and their names in lower case; the first is the SI unit, which messages name.
     pub unit: &'static [(f64, &'static str)],
     /// σ without a column of it, in SI units; `None` where the model of the vehicle or of the ranges has it.
     pub usual_sd: Option<f64>,
@@ -123,6 +124,8 @@ pub struct Kind {
     pub rejects: f64,
     /// What to do about rejected ones.
     pub remedy: &'static str,
+    /// What to do where none applies.
+    pub needs: &'static str,
     /// Updates the navigator; `None` where it does not apply.
     pub update: fn(&Aid, &mut Update<'_>) -> Option<Outcome>,
 }
@@ -139,6 +142,7 @@ impl Kind {
         states: &[],
         rejects: 0.0,
         remedy: "check their standard deviations, the delay (--setup fix_delay_s=S) and the lever arm (lever_arm_m)",
+        needs: "",
         update: |_, _| None,
     };
 }
@@ -177,7 +181,7 @@ pub struct Aid {
     pub kind: &'static Kind,
     /// Values in SI units, east-north-up where they have a direction.
     pub value: [f64; 3],
-    /// Their standard deviations; infinite where nothing is measured.
+    /// Their standard deviations; infinite where nothing is measured, which the update leaves out.
     pub sd: [f64; 3],
     /// The point that it measures from the origin of the unit, m, body axes: an antenna.
     pub lever_arm_m: [f64; 3],
@@ -327,7 +331,13 @@ impl Aids {
         };
         let found: Vec<_> = KINDS.iter().filter_map(|kind| Columns::of(kind, table)).collect();
         if found.is_empty() {
-            return Err(table.missing("Position E (m)"));
+            let text = format!("no column is a measurement: {}", table.header.join(", "));
+            return Err(Code::CsvMissingColumn.error(text, known_names()).at(&table.name));
+        }
+        for Columns { kind, values, .. } in &found {
+            if let (true, Some(k)) = (kind.is_whole, values.iter().position(Option::is_none)) {
+                return Err(table.missing(kind.columns[k][0]));
+            }
         }
         let mut all = Self { findings: noticed(table, time, &found), ..Self::default() };
         let mut not_positive = 0;
@@ -353,7 +363,7 @@ impl Aids {
             all.findings.push(Code::Navigation.warning(text));
         }
         if all.aids.is_empty() {
-            let remedy = "fill in the position, velocity or heading of at least one row";
+            let remedy = "fill in the values of at least one row";
             return Err(table.empty("there is no fix", remedy));
         }
         all.aids.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
@@ -508,6 +518,11 @@ fn sigma(name: &str) -> String {
     }
 }
 
+fn known_names() -> String {
+    let names: Vec<&str> = KINDS.iter().flat_map(|kind| kind.columns).map(|n| n[0]).collect();
+    format!("known names, each with its unit and with Sigma: {}", names.join(", "))
+}
+
 /// What is said of the columns of a table.
 fn noticed(table: &Measurements, time: Option<MeasuredColumn>, found: &[Columns]) -> Vec<Problem> {
     let mut findings = Vec::new();
@@ -515,10 +530,7 @@ fn noticed(table: &Measurements, time: Option<MeasuredColumn>, found: &[Columns]
     let others = table.others(used.chain([&time]).copied().flatten());
     if !others.is_empty() {
         let text = format!("columns of the fixes that are not used: {}", others.join(", "));
-        let names: Vec<&str> = KINDS.iter().flat_map(|kind| kind.columns).map(|n| n[0]).collect();
-        let remedy =
-            format!("known names, each with its unit and with Sigma: {}", names.join(", "));
-        findings.push(Code::Navigation.note(text).remedy(remedy));
+        findings.push(Code::Navigation.note(text).remedy(known_names()));
     }
     for Columns { kind, values, sds } in found {
         if values.len() == 3 && values[0].is_some() != values[1].is_some() {
@@ -531,8 +543,9 @@ fn noticed(table: &Measurements, time: Option<MeasuredColumn>, found: &[Columns]
         if let (Some(sd), true) = (kind.usual_sd, sds.iter().all(Option::is_none)) {
             let unit = kind.unit[0].1.split(' ').next().unwrap_or_default();
             let text = format!(
-                "the {} have no standard deviation: {sd} {unit} is used",
-                several(kind.one)
+                "the {} have no standard deviation: {} {unit} is used",
+                several(kind.one),
+                significant(sd, 3)
             );
             let remedy = format!("give it as {} ({unit})", sigma(kind.columns[0][0]));
             findings.push(Code::Navigation.note(text).remedy(remedy));

@@ -290,10 +290,11 @@ impl Navigator {
             time_sd_s: aid.time_sd_s,
             anchors: self.anchors.as_mut(),
         };
-        let Some(found) = (aid.kind.update)(aid, &mut to) else {
-            return;
-        };
+        let found = (aid.kind.update)(aid, &mut to);
+        let uses = self.uses.entry(aid.kind.name).or_insert_with(|| AidUse::of(aid.kind));
+        let Some(found) = found else { return };
         let accepted = found.weight >= LINE_OF_SIGHT;
+        uses.count(aid, accepted);
         self.log_likelihood += found.log_likelihood;
         if is_position {
             self.last_position_s = Some(aid.time_s);
@@ -313,7 +314,6 @@ impl Navigator {
         if found.has_jumped {
             self.jumps_s.push(aid.time_s);
         }
-        self.uses.entry(aid.kind.name).or_insert_with(|| AidUse::of(aid.kind)).count(aid, accepted);
         self.residuals.push(Residual {
             time_s: aid.time_s,
             aid: aid.kind.name,

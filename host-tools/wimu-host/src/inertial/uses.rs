@@ -55,6 +55,10 @@ impl AidUse {
     /// What is said of rejected ones; `delay_s` would explain those of the position.
     pub(super) fn finding(&self, delay_s: Option<f64>) -> Option<Problem> {
         let (rejected, all) = (self.rejected, self.used + self.rejected);
+        if all + self.late == 0 {
+            let text = format!("the {} are not used", several(self.kind.one));
+            return Some(Code::Navigation.warning(text).remedy(self.kind.needs));
+        }
         let [first, last] = self.rejected_s?;
         if *self.kind == RANGE {
             let text = format!(

@@ -15,6 +15,7 @@ pub static SPEED: Kind = Kind {
     // A hundred times the fraction that a test rejects: wheels that slip or lock.
     rejects: 0.1,
     remedy: "wheels slip or lock: check the unit and the sign of the speed",
+    needs: "they need --profile vehicle, and a drive that shows the forward axis",
     update: |aid, to| Some(to.navigator.odometer(aid.value[0])?.into()),
     ..Kind::DEFAULT
 };
@@ -28,7 +29,9 @@ impl Aids {
     pub fn read_odometry(path: &Path) -> Result<Self> {
         let table = Measurements::read(path)?;
         if table.column(&["Speed"], UNITS).is_some() {
-            return Self::of(&table, None, &Mounting::default());
+            let mut found = Self::of(&table, None, &Mounting::default())?;
+            found.aids.retain(|aid| *aid.kind == SPEED);
+            return Ok(found);
         }
         let time = table.needed(&["Time"], TIME)?;
         let distance = table.needed(&["Distance Increment"], LENGTH)?;

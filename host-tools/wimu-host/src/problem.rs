@@ -373,15 +373,20 @@ pub fn without_unit(count: usize, one: &str, what: &str) -> Option<Problem> {
     Some(Code::SamplesLeftOut.warning(format!("{count} {what}: {cause}")))
 }
 
-/// Problems as lines, the most severe first: at most `most` of them, then the number of the others. Without
-/// [`Code::NoResult`], with which a text begins.
+/// Problems as lines, the most severe first: at most `most` of them, one of each code before a second, then the number of the
+/// others. Without [`Code::NoResult`], with which a text begins.
 pub fn text(findings: &[Problem], most: usize) -> String {
     let is_told = |finding: &&Problem| finding.code != Code::NoResult;
     let mut sorted: Vec<&Problem> = findings.iter().filter(is_told).collect();
     sorted.sort_by_key(|finding| Reverse(finding.severity));
+    let before = |k: usize| sorted[..k].iter().filter(|other| other.code == sorted[k].code).count();
+    let mut shown: Vec<usize> = (0..sorted.len()).collect();
+    shown.sort_by_key(|k| (Reverse(sorted[*k].severity), before(*k)));
+    shown.truncate(most);
+    shown.sort_unstable();
     let label = |severity: Severity| format!("  {severity:?}: ").to_lowercase();
-    let line = |finding: &&Problem| labelled(&label(finding.severity), finding);
-    let mut text: String = sorted.iter().take(most).map(line).collect();
+    let line = |k: &usize| labelled(&label(sorted[*k].severity), sorted[*k]);
+    let mut text: String = shown.iter().map(line).collect();
     if sorted.len() > most {
         text += &format!("  {} more with --verbose\n", sorted.len() - most);
     }

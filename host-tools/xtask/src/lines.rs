@@ -12,7 +12,7 @@ use xshell::{Shell, cmd};
 use crate::Result;
 
 /// The rows of the table: a name, and the folders that are counted in it. A file belongs to the first that fits.
-const PLACES: [(&str, &[&str]); 13] = [
+const PLACES: [(&str, &[&str]); 16] = [
     ("crates/wimu-model", &["crates/wimu-model"]),
     ("crates/wimu-integrator", &["crates/wimu-integrator"]),
     ("crates/wimu-link", &["crates/wimu-link"]),
@@ -21,7 +21,31 @@ const PLACES: [(&str, &[&str]); 13] = [
     ("crates/wimu-nav", &["crates/wimu-nav"]),
     ("crates/wimu-embassy, drivers", &["crates"]),
     ("firmware, examples", &["firmware", "examples"]),
-    ("host-tools/wimu-host", &["host-tools/wimu-host"]),
+    (
+        "wimu-host: calibration, guide",
+        &[
+            "host-tools/wimu-host/src/calibration",
+            "host-tools/wimu-host/src/calibration.rs",
+            "host-tools/wimu-host/src/guided",
+            "host-tools/wimu-host/src/guided.rs",
+        ],
+    ),
+    (
+        "wimu-host: navigation",
+        &[
+            "host-tools/wimu-host/src/array",
+            "host-tools/wimu-host/src/array.rs",
+            "host-tools/wimu-host/src/hand_eye",
+            "host-tools/wimu-host/src/inertial",
+            "host-tools/wimu-host/src/localization",
+            "host-tools/wimu-host/src/multi_range",
+            "host-tools/wimu-host/src/multi_range.rs",
+            "host-tools/wimu-host/src/navigation.rs",
+            "host-tools/wimu-host/src/relative",
+        ],
+    ),
+    ("wimu-host: fleet", &["host-tools/wimu-host/src/fleet", "host-tools/wimu-host/src/fleet.rs"]),
+    ("wimu-host: all else", &["host-tools/wimu-host"]),
     ("host-tools/wimu", &["host-tools/wimu"]),
     ("host-tools/wimu-sim", &["host-tools/wimu-sim"]),
     ("wimu-python, wimu-testkit, xtask, scores", &["host-tools"]),

@@ -212,7 +212,12 @@ impl InertialPath {
             100.0 * self.figures.valid_share,
             self.limit_m
         );
-        let horizons = self.limits().into_iter().map(|limit| match self.horizon(limit) {
+        let mut limits = self.limits();
+        limits.sort_by(f64::total_cmp);
+        // Below one limit it is below all larger ones.
+        let kept = limits.iter().position(|limit| self.horizon(*limit).is_none());
+        limits.truncate(kept.map_or(limits.len(), |kept| kept + 1));
+        let horizons = limits.into_iter().map(|limit| match self.horizon(limit) {
             None => format!("stays below {limit} m"),
             Some(end) => format!(
                 "exceeds {limit} m from {:.1} s on (after {:.1} s of motion)",

@@ -48,7 +48,7 @@ pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
-pub use estimate::{Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
+pub use estimate::{Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use gyroscope::{

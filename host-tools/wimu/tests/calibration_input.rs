@@ -70,6 +70,24 @@ fn what_was_fitted_is_printed_with_its_deviation() {
 }
 
 #[test]
+fn an_output_that_is_not_linear_is_named_with_the_model_that_fits() {
+    let folder = folder();
+    let csv = folder.path().join("bent.csv").display().to_string();
+    // A quadratic term of 2 · 10⁻⁶ a count at 16384 LSB/g.
+    let bent = spread(20).into_iter().map(|up| up.map(|u| u + 0.0328 * u * u));
+    fs::write(&csv, means(&bent.collect::<Vec<_>>())).unwrap();
+    let mut texts = Transcript::default();
+    let calibrate = |model: &str| wimu(&["calibrate", &csv, "--poses", "--model", model]);
+    texts.findings("9", &calibrate("9"));
+    texts.refuses("auto", &calibrate("auto"));
+    for model in ["9+quadratic", "auto+quadratic"] {
+        let fit = calibrate(model).succeeds();
+        assert!(fit["loo_rms_mm_s2"].as_f64().unwrap() < 10.0, "{model}: {fit}");
+    }
+    texts.check("calibrate_nonlinear");
+}
+
+#[test]
 fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
     let mut texts = Transcript::default();
     let folder = folder();

@@ -63,8 +63,6 @@ pub struct Estimate {
     pub condition: f64,
     /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
-    /// Fraction of the 26 orientations within 40° of a pose, 0..=1.
-    pub coverage: f64,
     /// Mean temperature of the poses that have one, °C.
     pub temperature_c: Option<f64>,
     /// Lowest and highest temperature of the poses, °C, if all have one: the range of validity of
@@ -106,7 +104,6 @@ impl Estimate {
             rejected: Vec::new(),
             condition: 1.0,
             worst_sd_mps2: 0.0,
-            coverage: 0.0,
             temperature_c: None,
             temperature_range_c: None,
             drift: None,

@@ -58,12 +58,12 @@ pub use gyroscope::{
 pub use magnetometer::{MagneticEstimate, MagneticPose, magnetometer};
 pub use multi_position::{MultiPosition, multi_position};
 pub use nested::{Nested, TestedPose, Unexplained};
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, is_clipped};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use placement::{Placement, PlacementError};
 pub use pose::Pose;
-pub use reference::{AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer};
+pub use reference::{AxisTransfer, Line, NoiseFrom, ReferenceTransfer, Transfer};
 pub use refusal::{Reason, Refusal, UnitHint};
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};

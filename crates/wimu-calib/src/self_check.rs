@@ -25,6 +25,58 @@ impl Default for Ageing {
     }
 }
 
+/// Uncertainty of the temperature dependence of the bias.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Slopes {
+    /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
+    sd: [f64; 3],
+    seen_c: [f64; 2],
+    /// Standard deviation outside them.
+    beyond: f64,
+}
+
+impl Slopes {
+    fn unknown(per_kelvin_mps2: f64) -> Self {
+        Self {
+            sd: [per_kelvin_mps2; 3],
+            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
+            beyond: per_kelvin_mps2,
+        }
+    }
+
+    /// Integral of the standard deviation over temperature, m/s².
+    fn at(&self, axis: usize, celsius: f64) -> f64 {
+        let [low, high] = self.seen_c;
+        let within = celsius.max(low).min(high);
+        let sd = self.sd.get(axis).copied().unwrap_or(self.beyond);
+        sd * within + self.beyond * (celsius - within)
+    }
+}
+
+/// A monotonic temperature change, within which the slope error accumulates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Warming {
+    began_c: f64,
+    last_c: f64,
+}
+
+impl Warming {
+    fn from(celsius: f64) -> Self {
+        Self { began_c: celsius, last_c: celsius }
+    }
+
+    /// Moves to `now`, or starts again when the direction changes. Returns the previous
+    /// temperature.
+    fn to(&mut self, now: f64) -> f64 {
+        let before = self.last_c;
+        if (now - before) * (before - self.began_c) < 0.0 {
+            self.began_c = before;
+        }
+        self.last_c = now;
+        before
+    }
+}
+
 /// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Check {
@@ -71,12 +123,8 @@ pub struct SelfCheck {
     covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
     gravity: Gravity,
     ageing: Ageing,
-    /// Standard deviation of the bias per K within the calibrated temperatures, m/s².
-    per_kelvin_mps2: [f64; 3],
-    /// Mean, lowest and highest temperature of the calibration, °C; those of the first rest where they are unknown.
-    calibrated_c: Option<[f64; 3]>,
-    /// Variance of the bias by temperature that the covariance includes, (m/s²)².
-    warmth: [f64; 3],
+    slopes: Slopes,
+    warming: Option<Warming>,
     poses: u32,
     contradictions: u32,
 }
@@ -104,9 +152,8 @@ impl SelfCheck {
             covariance: *covariance.matrix(),
             gravity,
             ageing,
-            per_kelvin_mps2: [ageing.per_kelvin_mps2; 3],
-            calibrated_c: None,
-            warmth: [0.0; 3],
+            slopes: Slopes::unknown(ageing.per_kelvin_mps2),
+            warming: None,
             poses: 0,
             contradictions: 0,
         }
@@ -120,10 +167,15 @@ impl SelfCheck {
     pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::new(&set.model, &quality.covariance.matrix(), gravity, ageing);
-        let Some(seen) = quality.temperature else { return Some(check) };
-        check.calibrated_c = Some([seen.mean_c, seen.lowest_c, seen.highest_c].map(f64::from));
-        if set.model.terms().temperature.bias_mps2_per_k != [0.0; 3] {
-            check.per_kelvin_mps2 = quality.other_sd.bias_mps2_per_k.map(f64::from);
+        check.warming = quality.temperature.map(|t| Warming::from(f64::from(t.mean_c)));
+        if let Some(seen) = quality.temperature
+            && set.model.terms().temperature.bias_mps2_per_k != [0.0; 3]
+        {
+            check.slopes = Slopes {
+                sd: quality.other_sd.bias_mps2_per_k.map(f64::from),
+                seen_c: [f64::from(seen.lowest_c), f64::from(seen.highest_c)],
+                ..check.slopes
+            };
         }
         Some(check)
     }
@@ -142,8 +194,17 @@ impl SelfCheck {
         let (force, row) = force::magnitude(&self.theta, output, warmer)
             .filter(|(force, _)| (0.5 * g..1.5 * g).contains(force))?;
 
-        if let Some(celsius) = celsius {
-            self.warm(celsius);
+        if let Some(now) = celsius {
+            let warming = self.warming.get_or_insert(Warming::from(now));
+            let before = warming.to(now);
+            for axis in 0..3 {
+                let moved = |from: f64, to: f64| {
+                    let by = self.slopes.at(axis, to) - self.slopes.at(axis, from);
+                    by * by
+                };
+                let more = moved(warming.began_c, now) - moved(warming.began_c, before);
+                self.covariance[axis][axis] += more.max(0.0);
+            }
         }
 
         let residual_mps2 = force - g;
@@ -176,21 +237,6 @@ impl SelfCheck {
             self.contradictions = self.contradictions.saturating_add(1);
         }
         Some(Check { residual_mps2, expected_sd_mps2: expected, holds })
-    }
-
-    /// Adds the variance of the bias by temperature, which grows with the largest distance from that of the calibration.
-    fn warm(&mut self, celsius: f64) {
-        let [mean, lowest, highest] = *self.calibrated_c.get_or_insert([celsius; 3]);
-        let within = celsius.max(lowest).min(highest);
-        for axis in 0..3 {
-            let sd = self.per_kelvin_mps2[axis] * (within - mean).abs()
-                + self.ageing.per_kelvin_mps2 * (celsius - within).abs();
-            let more = sd * sd - self.warmth[axis];
-            if more > 0.0 {
-                self.warmth[axis] += more;
-                self.covariance[axis][axis] += more;
-            }
-        }
     }
 
     /// Number of poses.

@@ -10,7 +10,7 @@ use crate::pose::mean_temperature;
 use crate::terms;
 use crate::{
     Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Reason, Refusal,
-    design, force, input, student,
+    force, input, student,
 };
 
 /// Degrees of freedom of the placement error that six sides show.
@@ -248,7 +248,6 @@ fn estimate<'a>(
         interval_dof: Some(interval_dof),
         rejected,
         worst_sd_mps2,
-        coverage: design::coverage(&sides.map(|side| Pose::from_mean(side.mean()))),
         temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
         ..Estimate::orthogonal(model, method, gravity, &residuals)
     })

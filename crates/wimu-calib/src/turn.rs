@@ -11,7 +11,7 @@ use crate::terms::{self, PERFECT, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::{
     Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Reason, Refusal,
-    design, force, input, pose, student,
+    force, input, pose, student,
 };
 
 /// Component of an axis along another one, 1 σ: the cross-axis sensitivity of typical datasheets.
@@ -240,7 +240,6 @@ fn turns(
         orientations: Visits::of(poses).orientations(),
         dof: checks,
         interval_dof: contradicted.then_some(checks as f64),
-        coverage: design::coverage(poses),
         temperature_c: pose::mean_temperature(poses.iter()),
         ..Estimate::orthogonal(model, method, gravity, &residuals)
     })

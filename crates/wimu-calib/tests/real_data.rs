@@ -153,7 +153,7 @@ fn a_linear_drift_reaches_the_reference_and_priors_predict_as_well() {
 /// their predicted deviation, rms, over what a variance of few residuals and its prior make of it; half width of m_xz, mrad,
 /// exceeded by a tenth of the draws.
 fn held_out(rows: &[Vec<String>], runs: [&str; 2]) -> [f64; 2] {
-    let (mut squares, mut expected, mut count, mut widths) = (0.0, 0.0, 0.0, Vec::new());
+    let (mut squares, mut expected, mut widths) = (0.0, 0.0, Vec::new());
     for run in runs {
         let mut random = common::Random::new(100 * run.parse::<u64>().expect("a number"));
         for draw in 0..32 {
@@ -182,7 +182,6 @@ fn held_out(rows: &[Vec<String>], runs: [&str; 2]) -> [f64; 2] {
                 // The variance that they show, with its prior of 3 mm/s² and one degree of freedom.
                 let own: f64 = (1..freedom.round() as usize).map(|_| random.normal().powi(2)).sum();
                 expected += freedom * scatter / (own * scatter + 9e-6);
-                count += 1.0;
             }
         }
     }

@@ -43,14 +43,10 @@ const MAX_MEANS: usize = 2000;
 const MAX_MEANS_HZ: f64 = 5.0;
 /// Fewest degrees of freedom of a fit that is offered instead of a refused one: with fewer any poses fit.
 const MIN_REDUNDANCY: usize = 3;
-/// Angle between the means of successive seconds of a sensor that is rotated slowly by hand, degrees. Chosen.
-const SLOW_ROTATION: std::ops::RangeInclusive<f64> = 0.5..=30.0;
 
-/// Poses that cannot be those of an accelerometer in m/s²: clipped, of a wrong unit or sensitivity, or normalised.
+/// Poses that cannot be those of an accelerometer in m/s²: of a wrong unit or sensitivity, or normalised.
 pub(super) fn refusal(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
-    wrong_unit(data, found, gravity)
-        .or(found.saturated.map(Refusal::saturated))
-        .or_else(|| wrong_magnitude(found, gravity))
+    wrong_unit(data, found, gravity).or_else(|| wrong_magnitude(found, gravity))
 }
 
 /// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
@@ -153,10 +149,6 @@ impl Context<'_> {
         if looks_like_means(data, has) {
             return reason
                 + " The rows look like means over static poses: if they are, add --poses.";
-        }
-        if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
-            let text = format!(" The sensor rotated all the time, at {deg_per_s:.0} °/s.");
-            return reason + &text + " Hold it still in each pose.";
         }
         if has == 1 && !data.poses {
             return reason + " For the noise of a sensor at rest use `wimu allan`.";
@@ -350,29 +342,6 @@ fn likely_sensitivity(ratio: f64, used: Option<f64>, sensor: Option<&Datasheet>)
         }
         None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
     }
-}
-
-/// Median angular rate, degrees per second, of a sensor that was rotated slowly and never held still.
-fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
-    if data.poses {
-        return None;
-    }
-    let second = data.rate_hz.round().max(1.0) as usize;
-    let values: Vec<[f64; 3]> = data.values().collect();
-    let mean = |samples: &[[f64; 3]]| {
-        let sum = |axis: usize| samples.iter().map(|value| value[axis]).sum::<f64>();
-        [0, 1, 2].map(|axis| sum(axis) / second as f64)
-    };
-    let means: Vec<[f64; 3]> = values.chunks_exact(second).map(mean).collect();
-    let between = |pair: &[[f64; 3]]| {
-        let dot: f64 = (0..3).map(|axis| pair[0][axis] * pair[1][axis]).sum();
-        let cosine = dot / (magnitude(pair[0]) * magnitude(pair[1]));
-        cosine.clamp(-1.0, 1.0).acos().to_degrees()
-    };
-    let angles: Vec<f64> = means.windows(2).map(between).collect();
-    let turning = angles.iter().filter(|angle| SLOW_ROTATION.contains(angle)).count();
-    let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
-    median(angles).filter(|_| enough)
 }
 
 /// Whether the rows are pose means instead of samples: no times or slow ones, few poses found, and nearly all of the magnitude

@@ -1,6 +1,7 @@
 //! Alignment of the sensor with the body that it is mounted on.
 
 use alloc::format;
+use alloc::vec::Vec;
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{
@@ -77,44 +78,68 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Refusal
         );
         return Err(Refusal::new(Reason::TooFew { have, need: 2 }, text));
     }
-    let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).filter(|u| u.norm() > 0.5);
     let mut attitude = Matrix3::<f64>::zeros();
     let mut information = Matrix3::<f64>::zeros();
-    let mut scatter = [Matrix3::<f64>::zeros(); 2];
     let mut weights = 0.0;
+    // Unit vectors, sensor and body axes.
+    let mut pairs = Vec::new();
     for (direction, known) in directions.iter().enumerate() {
-        let sd = known.sd_rad;
-        let weight = 1.0 / (sd * sd);
-        let (Some(v), Some(u), true) =
-            (unit(known.sensor), unit(known.body), weight.is_finite() && weight > 0.0)
-        else {
+        let weight = 1.0 / (known.sd_rad * known.sd_rad);
+        // A value that is not a number has no length.
+        let unit = |v: [f64; 3]| Vector3::from(v).try_normalize(1e-9).filter(|u| u.norm() > 0.5);
+        let (v, u) = (unit(known.sensor), unit(known.body));
+        let (Some(v), Some(u), true) = (v, u, weight.is_finite() && weight > 0.0) else {
             return Err(no_direction(direction));
         };
         attitude += u * v.transpose() * weight;
         information += (Matrix3::identity() - u * u.transpose()) * weight;
-        scatter[0] += u * u.transpose();
-        scatter[1] += v * v.transpose();
         weights += weight;
+        pairs.push([v, u]);
     }
+    for side in 0..2 {
+        check_spread(pairs.iter().map(|pair| pair[side]))?;
+    }
+    let turn = rotation(attitude / weights);
+    let none = || no_direction(0);
+    let alignment =
+        Alignment::from_quaternion([turn.w, turn.i, turn.j, turn.k]).map_err(|_| none())?;
+    let inverse = information.try_inverse().ok_or_else(none)?;
+    let covariance: [[f64; 3]; 3] =
+        core::array::from_fn(|r| core::array::from_fn(|c| inverse[(r, c)]));
+    let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none())?;
+    let off = pairs.iter().map(|[v, u]| angle(&(turn * v), u));
+    let deviations = off.zip(directions).map(|(off, known)| (off, off / known.sd_rad));
+    let worst = deviations.enumerate().max_by(|a, b| a.1.1.total_cmp(&b.1.1));
+    let (direction, (residual_rad, deviations)) = worst.ok_or_else(none)?;
+    if deviations > MOST_DISAGREEMENT {
+        let text = format!(
+            "direction {direction} (from 0) has a residual of {:.1}°: check which side of the body was where, and calibrate \
+             the sensor first",
+            residual_rad.to_degrees()
+        );
+        return Err(Refusal::new(Reason::PoorFit { rms: residual_rad, index: direction }, text));
+    }
+    Ok(AlignmentEstimate { alignment, covariance, residual_rad })
+}
+
+/// Refuses directions that are all along one line.
+fn check_spread(units: impl Iterator<Item = Vector3<f64>> + Clone) -> Result<(), Refusal> {
     // The principal axis of the directions is the eigenvector of the largest eigenvalue.
-    for (which, scatter) in scatter.into_iter().enumerate() {
-        let line = main_axis(scatter);
-        let angle_rad = directions
-            .iter()
-            .filter_map(|known| unit(if which == 0 { known.body } else { known.sensor }))
-            .map(|u| from_line(&line, &u))
-            .fold(0.0, f64::max);
-        if angle_rad < LEAST_ANGLE_RAD / 2.0 {
-            let text = format!(
-                "the directions are {:.1}° from one line: the rotation about it is undetermined; rest the body on another \
-                 side, or move it straight ahead",
-                angle_rad.to_degrees()
-            );
-            return Err(Refusal::new(Reason::NotObservable, text));
-        }
+    let line = main_axis(units.clone().map(|u| u * u.transpose()).sum::<Matrix3<f64>>());
+    let angle_rad = units.map(|u| from_line(&line, &u)).fold(0.0, f64::max);
+    if angle_rad >= LEAST_ANGLE_RAD / 2.0 {
+        return Ok(());
     }
-    // Davenport's matrix, shifted so that no eigenvalue is negative.
-    let b = attitude / weights;
+    let text = format!(
+        "the directions are {:.1}° from one line: the rotation about it is undetermined; rest the body on another side, or \
+         move it straight ahead",
+        angle_rad.to_degrees()
+    );
+    Err(Refusal::new(Reason::NotObservable, text))
+}
+
+/// The rotation nearest to an attitude profile matrix, by Davenport's matrix, shifted so that no eigenvalue is negative.
+fn rotation(b: Matrix3<f64>) -> UnitQuaternion<f64> {
     let symmetric = b + b.transpose();
     let z = [b[(2, 1)] - b[(1, 2)], b[(0, 2)] - b[(2, 0)], b[(1, 0)] - b[(0, 1)]];
     let davenport = SMatrix::<f64, 4, 4>::from_fn(|r, c| match (r, c) {
@@ -125,34 +150,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Refusal
     });
     let best = main_axis(davenport);
     let best = if best[0] < 0.0 { -best } else { best };
-    let quaternion = [0, 1, 2, 3].map(|k| best[k]);
-    let none = || no_direction(0);
-    let alignment = Alignment::from_quaternion(quaternion).map_err(|_| none())?;
-    let inverse = information.try_inverse().ok_or_else(none)?;
-    let covariance: [[f64; 3]; 3] =
-        core::array::from_fn(|r| core::array::from_fn(|c| inverse[(r, c)]));
-    let covariance = RotationCovariance::from_matrix(&covariance).map_err(|_| none())?;
-    let turn = UnitQuaternion::from_quaternion(Quaternion::new(best[0], best[1], best[2], best[3]));
-    let mut worst = (0, 0.0, 0.0);
-    for (direction, known) in directions.iter().enumerate() {
-        let (Some(v), Some(u)) = (unit(known.sensor), unit(known.body)) else {
-            continue;
-        };
-        let off = angle(&(turn * v), &u);
-        if off / known.sd_rad > worst.2 {
-            worst = (direction, off, off / known.sd_rad);
-        }
-    }
-    let (direction, residual_rad, deviations) = worst;
-    if deviations > MOST_DISAGREEMENT {
-        let text = format!(
-            "direction {direction} (from 0) has a residual of {:.1}°: check which side of the body was where, and calibrate \
-             the sensor first",
-            residual_rad.to_degrees()
-        );
-        return Err(Refusal::new(Reason::PoorFit { rms: residual_rad, index: direction }, text));
-    }
-    Ok(AlignmentEstimate { alignment, covariance, residual_rad })
+    UnitQuaternion::from_quaternion(Quaternion::new(best[0], best[1], best[2], best[3]))
 }
 
 fn no_direction(index: usize) -> Refusal {

@@ -4,9 +4,6 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::{Orientation, Parameter, Parameters, Pose};
 
-/// cos 40°: twelve well distributed poses cover all 26 orientations, the six sides cover only
-/// themselves.
-const NEAR: f64 = 0.766;
 /// Prior information per parameter, relative to that of one pose: 0.3 m/s² at 1 g against 3 mm/s².
 const PRIOR: f64 = 1e-4;
 /// Smallest relative decrease of the expected error that justifies a pose.
@@ -15,18 +12,6 @@ const WORTH: f64 = 0.03;
 const MOST_EXCHANGES: usize = 4;
 /// Largest number of recommended poses.
 const MOST_ADVISED: usize = 60;
-
-/// Fraction of the 26 orientations within 40° of the mean output of a pose.
-pub(crate) fn coverage(poses: &[Pose]) -> f64 {
-    let covered = Orientation::ALL.iter().filter(|orientation| {
-        let up = orientation.up();
-        poses.iter().any(|pose| {
-            let along = dot(up, pose.mean_mps2);
-            along > 0.0 && along * along >= NEAR * NEAR * dot(pose.mean_mps2, pose.mean_mps2)
-        })
-    });
-    covered.count() as f64 / Orientation::ALL.len() as f64
-}
 
 fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
     let norm = libm::sqrt(dot(v, v));

@@ -6,7 +6,7 @@ use core::fmt;
 use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
 
 use crate::terms::{self, Slot, Terms, Theta};
-use crate::{Covariance, Face, Gravity, Parameter, Parameters, Pose, force, student};
+use crate::{Covariance, Gravity, Parameter, Parameters, Pose, force, student};
 
 /// An error model and its quality.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,8 +63,6 @@ pub struct Estimate {
     pub condition: f64,
     /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
-    /// Fraction of the 26 orientations within 40° of a pose, 0..=1.
-    pub coverage: f64,
     /// Mean temperature of the poses that have one, °C.
     pub temperature_c: Option<f64>,
     /// Lowest and highest temperature of the poses, °C, if all have one: the range of validity of
@@ -106,7 +104,6 @@ impl Estimate {
             rejected: Vec::new(),
             condition: 1.0,
             worst_sd_mps2: 0.0,
-            coverage: 0.0,
             temperature_c: None,
             temperature_range_c: None,
             drift: None,
@@ -189,21 +186,16 @@ pub struct Drift {
 pub enum Method {
     /// Six known orientations, 12 parameters.
     SixPosition {
-        /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if
-        /// larger, the one that the poses show, without a misplaced pair of sides.
+        /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if the poses contradict it, the
+        /// one that they show.
         placement_sd_rad: f64,
         /// The declared placement error, rad.
         declared_sd_rad: f64,
-        /// A side with a much larger placement error than the others; the covariance of its axis
-        /// includes it.
-        misplaced: Option<Misplaced>,
-        /// Standard deviation between repeated poses of a side, m/s², also in the covariance: as
-        /// observed, or that of typical sensors if there are few.
+        /// Standard deviation between visits of a side, m/s², also in the covariance: with few visits mostly that of
+        /// typical sensors.
         revisit_sd_mps2: f64,
         /// Poses beyond the first of each side.
         revisits: usize,
-        /// Whether they differ by more than noise and placement explain.
-        unexplained: bool,
     },
     /// Any orientations, from the magnitude of gravity.
     MultiPosition,
@@ -223,18 +215,6 @@ impl fmt::Display for Method {
             Self::ThreeAngle => out.write_str("three-angle"),
         }
     }
-}
-
-/// A side with a much larger placement error than the others.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Misplaced {
-    /// The side, or one of the pair.
-    pub face: Face,
-    /// Whether it may be the opposite side instead: they can be distinguished only if the axes of
-    /// the sensor are orthogonal within a degree or two.
-    pub or_opposite: bool,
-    /// Tilt if only one side is misplaced, rad.
-    pub tilt_rad: f64,
 }
 
 /// Standard deviations, 1 σ, of an error model's terms.

@@ -14,7 +14,7 @@ use crate::visits::Visits;
 use crate::weights::Weighting;
 use crate::{
     Covariance, Estimate, Gravity, Method, MultiPosition, Parameters, Pose, Reason, Refusal,
-    design, ellipsoid, input, outliers, pose,
+    ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -275,7 +275,6 @@ impl Found<'_> {
             rejected: problem.rejected.clone(),
             condition: self.knowledge.condition,
             worst_sd_mps2: sd * problem.amplification(theta, &shared.spread),
-            coverage: design::coverage(poses),
             temperature_c: pose::mean_temperature(poses.iter()),
             temperature_range_c: range(poses, |pose| pose.temperature_c),
             drift: self.terms.contains(Term::Drift).then(|| Drift {

@@ -4,8 +4,7 @@ use alloc::format;
 
 use crate::{Gravity, Pose, Reason, Refusal, UnitHint};
 
-/// Refuses poses that are not finite, whose mean magnitude cannot be gravity in m/s², or with a
-/// clipped axis.
+/// Refuses poses that are not finite, or whose mean magnitude cannot be gravity in m/s².
 pub(crate) fn check<'a>(
     poses: impl Iterator<Item = &'a Pose> + Clone,
     gravity: Gravity,
@@ -32,10 +31,7 @@ pub(crate) fn check<'a>(
             Some(axis) => Refusal::stuck(axis),
             None => Refusal::unexpected_magnitude(mean_mps2, hint),
         }),
-        None => match silent_at_its_end(poses.clone()).or_else(|| nothing_between(poses)) {
-            Some(axis) => Err(Refusal::saturated(axis)),
-            None => Ok(()),
-        },
+        None => Ok(()),
     }
 }
 
@@ -80,47 +76,6 @@ const MANY_SAMPLES: u32 = 30;
 /// Whether an axis is constant within a pose.
 fn silent(pose: &Pose, axis: usize) -> bool {
     pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0
-}
-
-/// The axis that is constant within the pose of its highest or lowest reading, although two poses
-/// in three show noise.
-fn silent_at_its_end<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
-    (0..3).find(|&axis| {
-        let (mut count, mut noisy) = (0, 0);
-        // Reading, and whether the pose is constant.
-        let mut low = (f64::INFINITY, false);
-        let mut high = (f64::NEG_INFINITY, false);
-        for pose in poses.clone() {
-            let (mean, sd) = (pose.mean_mps2[axis], pose.sd_mps2[axis]);
-            let silent = silent(pose, axis);
-            count += 1;
-            noisy += usize::from(sd > 0.0 && pose.rounding_sd_mps2[axis] <= 0.0);
-            if mean < low.0 {
-                low = (mean, silent);
-            }
-            if mean > high.0 {
-                high = (mean, silent);
-            }
-        }
-        3 * noisy >= 2 * count && (low.1 || high.1)
-    })
-}
-
-/// With fewer poses, all may be corners of a cube.
-const CORNERS: usize = 5;
-
-/// Axis 0 if every axis has only two readings in all poses, without noise: its limits.
-fn nothing_between<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Option<usize> {
-    let two = |axis: usize| {
-        let readings = || poses.clone().map(move |pose| pose.mean_mps2[axis]);
-        let [low, high] = extremes(readings());
-        low < high && readings().all(|y| y == low || y == high)
-    };
-    let count = poses.clone().count();
-    (count > CORNERS
-        && poses.clone().all(|pose| (0..3).all(|axis| silent(pose, axis)))
-        && (0..3).all(two))
-    .then_some(0)
 }
 
 /// The probable unit of a mean magnitude that cannot be gravity in m/s².

@@ -48,7 +48,7 @@ pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
-pub use estimate::{Deviations, Drift, Estimate, Method, Misplaced, TermDeviations};
+pub use estimate::{Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
 pub use gravity::{Gravity, GravityError};
 pub use gyroscope::{
@@ -58,12 +58,12 @@ pub use gyroscope::{
 pub use magnetometer::{MagneticEstimate, MagneticPose, magnetometer};
 pub use multi_position::{MultiPosition, multi_position};
 pub use nested::{Nested, TestedPose, Unexplained};
-pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured, is_clipped};
+pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use placement::{Placement, PlacementError};
 pub use pose::Pose;
-pub use reference::{AxisTransfer, Line, NoiseFrom, NoiseRatio, ReferenceTransfer, Transfer};
+pub use reference::{AxisTransfer, Line, NoiseFrom, ReferenceTransfer, Transfer};
 pub use refusal::{Reason, Refusal, UnitHint};
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};

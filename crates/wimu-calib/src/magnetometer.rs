@@ -137,11 +137,11 @@ pub fn magnetometer(
     plausible(poses)?;
     let found = without_suspects(poses, Vec::new()).or_else(|refusal| {
         // Several disturbed poses distort the fit so much that none is an outlier.
-        let Some((share, disturbed, count)) = consensus::disturbed(poses) else {
+        let Some((share, disturbed)) = consensus::disturbed(poses) else {
             return Err(refusal);
         };
-        let few = count <= disturbed.len() && spares(have, count);
-        let again = few.then(|| without_suspects(poses, disturbed.clone()));
+        let again =
+            spares(have, disturbed.len()).then(|| without_suspects(poses, disturbed.clone()));
         again.and_then(Result::ok).ok_or_else(|| fit::not_constant(share, &disturbed))
     })?;
     handedness(&found.model, dip_rad)?;

@@ -26,10 +26,6 @@ const LAST_ROBUST_STEP: f64 = 1e-3;
 const MOST_AMPLIFICATION: f64 = 10.0;
 /// Largest standard deviation of a bias that the poses determine, relative to that of typical sensors.
 const LEAST_KNOWN: f64 = 0.5;
-/// Largest number of attempts to invert a singular information matrix, each with four times the
-/// diagonal.
-const MOST_REGULARISATIONS: usize = 10;
-
 /// A fit of the free parameters.
 pub(crate) type Fit = least_squares::Fit<Theta>;
 
@@ -437,24 +433,13 @@ impl<'a> Magnitude<'a> {
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
     pub fn knowledge_at(&self, theta: &Theta) -> Option<Knowledge> {
-        let information = self.information(theta)?;
-        if let Some(factor) = Scaled::new(&information, 0.0) {
-            return self.with_inverse(theta, &factor.inverse());
-        }
-        // Where singular, the smallest addition to the diagonal at the level of rounding that makes it
-        // invertible.
-        let squares = self.units().map(|unit| unit * unit);
-        let largest = information.diagonal().component_mul(&squares).max();
-        let mut rounding = largest * f64::EPSILON;
-        let inverse = (0..MOST_REGULARISATIONS).find_map(|_| {
-            let mut regular = information.clone();
-            for (i, square) in squares.iter().enumerate() {
-                regular[(i, i)] += rounding / square;
-            }
-            rounding *= 4.0;
-            Some(regular.cholesky()?.inverse())
-        })?;
-        self.with_inverse(theta, &inverse)
+        let (information, units) = (self.information(theta)?, self.units());
+        let scale = &units * units.transpose();
+        let mut eigen = information.component_mul(&scale).symmetric_eigen();
+        // A zero eigenvalue comes out as rounding.
+        let rounding = eigen.eigenvalues.max() * f64::EPSILON;
+        eigen.eigenvalues.apply(|value| *value = 1.0 / value.max(rounding));
+        self.with_inverse(theta, &eigen.recompose().component_mul(&scale))
     }
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.

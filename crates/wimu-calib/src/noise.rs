@@ -1,14 +1,11 @@
 //! Overlapping Allan deviation of a sensor at rest, computed sample by sample.
 
-mod ends;
 mod rest;
 mod terms;
 
 use alloc::format;
 use alloc::vec::Vec;
 
-use ends::Ends;
-pub use ends::is_clipped;
 use rest::{Limits, Rest};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
@@ -99,8 +96,6 @@ pub struct AxisNoise {
     pub sample_sd_mps2: f64,
     /// Quantisation step of the output, m/s²: one count, if it is in counts.
     pub step_mps2: f64,
-    /// Number of clipped samples. If it is not 0, the noise of the sensor is larger than the terms.
-    pub clipped_samples: u64,
 }
 
 impl AxisNoise {
@@ -210,7 +205,6 @@ pub struct AllanVariance {
     /// The previous sample, and the smallest change from one to the next.
     last: [f64; 3],
     step: [f64; 3],
-    ends: Ends,
 }
 
 impl AllanVariance {
@@ -241,7 +235,6 @@ impl AllanVariance {
             total: [0.0; 3],
             last: [0.0; 3],
             step: [f64::INFINITY; 3],
-            ends: Ends::new(),
         }
     }
 
@@ -276,7 +269,6 @@ impl AllanVariance {
         self.run += 1;
         self.longest_run = self.longest_run.max(self.run);
         self.rest.take(off);
-        self.ends.take(off);
         self.keep();
     }
 
@@ -416,7 +408,6 @@ impl AllanVariance {
             white_from_s: fitted.white_from_s,
             sample_sd_mps2,
             step_mps2,
-            clipped_samples: self.ends.clipped(axis, sample_sd_mps2 / step_mps2),
         })
     }
 }

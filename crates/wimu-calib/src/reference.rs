@@ -29,37 +29,9 @@ const LEAST_CORRELATION: f64 = 0.9;
 /// Significance threshold of a cross-axis sensitivity, standard deviations.
 const SEEN_DEVIATIONS: f64 = 4.0;
 
-/// Ratio of the noise of the output to the noise of the reference (standard deviations), within
-/// 10⁻³..=10³.
-///
-/// A wrong ratio changes the scale factor by at most the fraction of noise in the variance of the
-/// motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NoiseRatio(f64);
-
-impl NoiseRatio {
-    /// Equal noise: two sensors of the same type.
-    pub const EQUAL: Self = Self(1.0);
-
-    /// From the standard deviations of one sample, m/s²; `None` when either is not positive and
-    /// finite. The ratio is limited to 10⁻³..=10³.
-    pub fn new(output_sd_mps2: f64, reference_sd_mps2: f64) -> Option<Self> {
-        let ratio = output_sd_mps2 / reference_sd_mps2;
-        let sound = output_sd_mps2 > 0.0 && reference_sd_mps2 > 0.0 && ratio.is_finite();
-        sound.then(|| Self(ratio.clamp(1e-3, 1e3)))
-    }
-
-    /// The ratio.
-    pub fn get(self) -> f64 {
-        self.0
-    }
-}
-
-/// Source of the noise ratio of an axis.
+/// Source of the ratio of the noises of an axis of output and reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseFrom {
-    /// The given ratio.
-    Ratio,
     /// Lagged products: successive samples have the motion in common, but not the noise.
     Neighbours,
     /// Unknown: the motion is too fast for the sample rate, or the noise is not white. The scale
@@ -161,9 +133,9 @@ impl Transfer {
 /// Memory is fixed (45 KB): sums over blocks whose length grows with the recording.
 ///
 /// ```
-/// use wimu_calib::{NoiseRatio, ReferenceTransfer};
+/// use wimu_calib::ReferenceTransfer;
 ///
-/// let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+/// let mut transfer = ReferenceTransfer::new();
 /// for k in 0..1000 {
 ///     let swing = f64::from(k) * 0.05;
 ///     let reference = [3.0 * swing.sin(), 3.0 * swing.cos(), 9.81];
@@ -181,7 +153,6 @@ impl Transfer {
 /// ```
 #[derive(Clone, Debug)]
 pub struct ReferenceTransfer {
-    ratio: Option<NoiseRatio>,
     /// Whether cross-axis sensitivity is excluded.
     parallel: bool,
     /// The first pair: sums are of differences from it.
@@ -193,21 +164,17 @@ pub struct ReferenceTransfer {
     not_finite: u64,
 }
 
+impl Default for ReferenceTransfer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl ReferenceTransfer {
-    /// An empty comparison with a known noise ratio.
-    pub fn new(ratio: NoiseRatio) -> Self {
-        Self::with(Some(ratio))
-    }
-
-    /// An empty comparison that estimates the noise ratio from lagged products, which requires
-    /// motion that is slow for the sample rate. [`Line::noise_from`] says whether it did.
-    pub fn of_unknown_noise() -> Self {
-        Self::with(None)
-    }
-
-    fn with(ratio: Option<NoiseRatio>) -> Self {
+    /// An empty comparison. The noise of both streams is estimated from lagged products, which requires motion that is
+    /// slow for the sample rate. [`Line::noise_from`] says whether it was.
+    pub fn new() -> Self {
         Self {
-            ratio,
             parallel: false,
             origin: None,
             recent: Recent::new(),
@@ -282,38 +249,32 @@ impl ReferenceTransfer {
 
     fn axis(&self, axis: usize, origins: Pair, all: &Sums) -> Result<AxisTransfer, Refusal> {
         let origin = origins.map(|origin| origin[axis]);
-        let blocks = self.blocks.all().iter();
-        let ratio = self.ratio.unwrap_or(NoiseRatio::EQUAL).0;
-        let delta = ratio * ratio;
-        let spread = all.central();
-        let moments = spread.axis(axis);
-        let offset = origin[1] - origin[0] + moments.y - moments.x;
+        let moments = all.central().axis(axis);
         // Jackknife over the blocks: equation (51).
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
-        for block in blocks.clone() {
+        for block in self.blocks.all() {
             let rest = all.plus(block, -1.0).axis(axis).moments();
             let step = rest.y - rest.x - mean;
             count += 1.0;
             mean += step / count;
             squares += step * (rest.y - rest.x - mean);
         }
-        let slope = moments.slope(delta);
-        let motion = slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0)));
-        let mut transfer = AxisTransfer {
+        let slope = moments.slope();
+        let transfer = AxisTransfer {
             at_mps2: origin[0] + moments.x,
-            offset_mps2: offset,
+            offset_mps2: origin[1] - origin[0] + moments.y - moments.x,
             offset_sd_mps2: libm::sqrt((count - 1.0) / count * squares),
-            motion_mps2: motion,
+            motion_mps2: slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0))),
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
             cross_axis: [0.0; 3],
         };
         // Without motion the streams cannot be compared.
-        let moves = libm::sqrt(moments.xx.max(moments.yy / delta.max(1.0))) >= LEAST_MOTION_MPS2;
+        let moves = libm::sqrt(moments.xx.max(moments.yy)) >= LEAST_MOTION_MPS2;
         if !moves {
             return Ok(transfer);
         }
-        if let Some(end) = self.ends[axis].stopped(&all.axis(axis), delta) {
+        if let Some(end) = self.ends[axis].stopped(&all.axis(axis)) {
             let text = format!(
                 "axis {} of the {} stops at {:.3} m/s² in {} samples while the other goes on: it is saturated; choose a \
                  larger range, or move it less",
@@ -328,21 +289,29 @@ impl ReferenceTransfer {
         if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
             return Err(another_motion(axis, correlation));
         }
+        self.line(transfer, axis, origins, all).ok_or_else(|| one_motion_only(axis))
+    }
+
+    /// `transfer` with its regression; `None` if a short part of the motion decides.
+    fn line(
+        &self,
+        mut transfer: AxisTransfer,
+        axis: usize,
+        origins: Pair,
+        all: &Sums,
+    ) -> Option<AxisTransfer> {
+        let spread = all.central();
         let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
-        let how = match self.ratio {
-            Some(_) => How::Deming(delta),
-            None => fitting.how(all),
-        };
-        let refusal = || one_motion_only(axis);
-        let row = fitting.find(all, how).ok_or_else(refusal)?;
-        let blocks = blocks.map(|block| {
+        let how = fitting.how(all);
+        let row = fitting.find(all, how)?;
+        let blocks = self.blocks.all().iter().map(|block| {
             let left = all.plus(block, -1.0);
-            let moves = left.axis(axis).moments().xx > moments.xx * 0.1;
+            let moves = left.axis(axis).moments().xx > spread.xx[(axis, axis)] * 0.1;
             (*block, fitting.find(&left, how).filter(|_| moves))
         });
-        let (scatter, dof) = fitting.scatter(&row, all, blocks).ok_or_else(refusal)?;
+        let (scatter, dof) = fitting.scatter(&row, all, blocks)?;
         let mut covariance = scatter;
-        fitting.add_unseen(&mut covariance, all, how, self.parallel).ok_or_else(refusal)?;
+        fitting.add_unseen(&mut covariance, all, how, self.parallel)?;
         let sees = [1, 2, 3].map(|i: usize| row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];
@@ -360,12 +329,11 @@ impl ReferenceTransfer {
             covariance: [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| covariance[(i, j)])),
             dof: [dof[0], dof[1 + axis]],
             noise_from: match how {
-                How::Deming(_) => NoiseFrom::Ratio,
                 How::Neighbours(_) => NoiseFrom::Neighbours,
                 How::Bounds => NoiseFrom::Bounds,
             },
         });
-        Ok(transfer)
+        Some(transfer)
     }
 
     /// Sums over all blocks.

@@ -4,11 +4,12 @@
 use crate::common;
 
 use common::{
-    AUTO, DrawModel as _, G, NINE, ROBUST, Random, exact, misplaced, parameters, pose, twelve,
+    AUTO, DrawModel as _, G, NINE, ROBUST, Random, exact, jitter, misplaced, parameters, pose,
+    twelve,
 };
 use wimu_calib::{
-    Estimate, Face, Gravity, Method, MultiPosition, Orientation, Parameter, Placement, Pose, Term,
-    Terms, four_angle, multi_position, six_position, three_angle,
+    Estimate, Face, Gravity, MultiPosition, Orientation, Parameter, Placement, Pose, Term, Terms,
+    four_angle, multi_position, six_position, three_angle,
 };
 use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 use wimu_testkit::{Coverage, coverage_figure, draws};
@@ -133,7 +134,16 @@ fn intervals_of_multi_position_cover_the_truth() {
     for (name, what) in [("nine", NINE), ("bad poses left out", ROBUST), ("with priors", AUTO)] {
         let mut coverage = Coverage::default();
         for seed in 0..sensors() {
-            let mut sensor = sensor(seed, |_, _| {});
+            let mut sensor = sensor(seed, |random, terms| {
+                // Of sensors that drift and warm as the priors have it.
+                if what.priors {
+                    terms.temperature.bias_mps2_per_k = random.normals(0.005);
+                    terms.temperature.scale_per_k = random.normals(2e-4);
+                }
+            });
+            if what.priors {
+                sensor.drift = sensor.random.normals(0.02);
+            }
             let poses = sensor.session();
             let estimate = multi_position(&poses, exact(), what).expect("an answer");
             let about = about(&sensor.model, estimate.model.terms().temperature.reference_c);
@@ -273,33 +283,27 @@ fn intervals_of_six_positions_cover_the_truth() {
 
 #[test]
 fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
-    // Placed to 0.1°, which hides nothing; positions come back to 0, 2 and 5 mm/s².
+    // Placed to 0.1°, which hides nothing; positions come back to 2 and 5 mm/s².
     let placement = Placement::new(0.1 * DEGREE).expect("placement");
     let (mut again, mut once) = (Vec::new(), Vec::new());
-    let mut detected = Vec::new();
-    for (visits, differs, noise, range) in [
-        (3, 0.0, 0.0005, 0.93..=0.99),
-        (3, 0.002, 0.0005, 0.93..=0.97),
-        (3, 0.005, 0.0005, 0.93..=0.97),
-        (2, 0.005, 0.0005, 0.93..=0.97),
-        // Once: what is taken for granted is wide enough for most, however noisy the sensor.
-        (1, 0.002, 0.0005, 0.93..=1.0),
-        (1, 0.005, 0.0005, 0.88..=1.0),
-        (1, 0.002, 0.003, 0.93..=1.0),
-        (1, 0.005, 0.0012, 0.75..=1.0),
+    for (visits, differs, range) in [
+        (3, 0.002, 0.93..=0.97),
+        (3, 0.005, 0.93..=0.97),
+        (2, 0.005, 0.93..=0.97),
+        // Once: what is taken for granted is wide enough for most.
+        (1, 0.002, 0.93..=1.0),
+        (1, 0.005, 0.88..=1.0),
     ] {
         let (mut bias, mut scale) = (Coverage::default(), Coverage::default());
-        let mut said = Coverage::default();
         for seed in 0..sensors() {
             let mut sensor = sensor(seed, |_, _| {});
             let mut poses = Vec::new();
             for face in (0..visits).flat_map(|_| Face::ALL) {
                 let up = misplaced(&mut sensor.random, Orientation::from(face).up(), 0.1 * DEGREE);
                 let mut pose = pose(&sensor.model, G, up);
-                for axis in &mut pose.mean_mps2 {
-                    *axis += differs * sensor.random.normal() + noise * sensor.random.normal();
-                }
-                pose.sd_mps2 = [20.0 * noise; 3];
+                jitter(&mut sensor.random, &mut pose, differs);
+                jitter(&mut sensor.random, &mut pose, 0.0005);
+                pose.sd_mps2 = [0.01; 3];
                 pose.samples = 400;
                 poses.push(pose);
             }
@@ -310,27 +314,12 @@ fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
                 add(&mut bias, found[b] - truth[b], estimate.half_width_95(Parameter::ALL[b]));
                 add(&mut scale, found[s] - truth[s], estimate.half_width_95(Parameter::ALL[s]));
             }
-            let Method::SixPosition { unexplained, .. } = estimate.method else {
-                panic!("{:?}", estimate.method);
-            };
-            said.count(unexplained);
         }
-        let kind = format!("{visits} visits that differ by {differs} m/s², noise of {noise}");
-        println!("{kind}: bias {bias}, scale factor {scale}, said to differ {said}");
+        let kind = format!("{visits} visits that differ by {differs} m/s²");
+        println!("{kind}: bias {bias}, scale factor {scale}");
         bias.assert_can_be(range.clone(), &kind);
         scale.assert_can_be(range, &kind);
-        // Chance in two hundred where they do not differ.
-        match (visits, differs) {
-            (1, _) => said.assert_can_be(0.0..=0.0, &kind),
-            (_, 0.0) => said.assert_can_be(0.0..=0.02, &kind),
-            _ => said.assert_can_be(0.9..=1.0, &kind),
-        }
-        if visits == 1 {
-            once.extend([bias, scale]);
-        } else {
-            again.extend([bias, scale]);
-            detected.extend((differs > 0.0).then_some(said));
-        }
+        if visits == 1 { &mut once } else { &mut again }.extend([bias, scale]);
     }
     coverage_figure(
         "95 % intervals of six positions visited twice or three times",
@@ -338,7 +327,6 @@ fn intervals_of_six_positions_include_what_differs_from_visit_to_visit() {
         0.93..=0.97,
     );
     coverage_figure("95 % intervals of six positions visited once", &once, 0.93..=1.0);
-    coverage_figure("visits that differ by 2 or 5 mm/s² are reported", &detected, 0.9..=1.0);
 }
 
 /// Poses of one turn about `axis` in `steps`, begun at `begin` rad.

@@ -354,30 +354,6 @@ fn counts_coarser_than_the_noise_are_told_from_finer_ones() {
 }
 
 #[test]
-fn an_output_that_ends_within_its_noise_is_clipped() {
-    let mut random = Random::new(9);
-    // Limits in standard deviations from where it rests.
-    for (step, limits) in
-        [(0.0, &[0.0, 1.0, 2.0, 9.0][..]), (0.002, &[0.0, 1.0, 2.0, 9.0]), (0.01, &[0.0, 1.0, 9.0])]
-    {
-        for &limit in limits {
-            let samples: Vec<_> = (0..5000)
-                .map(|_| {
-                    let noise = 0.02 * random.normal();
-                    let y = if step > 0.0 { (noise / step).round() * step } else { noise };
-                    [y.min(0.02 * limit), -y.min(0.02 * limit), 9.81 + y]
-                })
-                .collect();
-            let [x, y, z] = run(RATE, &samples).result().expect("noise");
-            let at_end = samples.iter().filter(|s| s[0] >= 0.02 * limit).count() as u64;
-            let expected = if limit < 9.0 { at_end } else { 0 };
-            let found = [x, y, z].map(|axis| axis.clipped_samples);
-            assert_eq!(found, [expected, expected, 0], "{step} {limit}");
-        }
-    }
-}
-
-#[test]
 fn what_is_no_rest_is_refused_with_the_time() {
     let mut random = Random::new(3);
     let mut rest = |n: usize| -> Vec<[f64; 3]> {

@@ -150,9 +150,10 @@ fn a_linear_drift_reaches_the_reference_and_priors_predict_as_well() {
 }
 
 /// Thirteen of the poses, drawn four times from each sensor of the runs: errors of the poses held out by `auto`, over
-/// their predicted deviation, rms; half width of m_xz, mrad, exceeded by a tenth of the draws.
+/// their predicted deviation, rms, over what a variance of few residuals and its prior make of it; half width of m_xz, mrad,
+/// exceeded by a tenth of the draws.
 fn held_out(rows: &[Vec<String>], runs: [&str; 2]) -> [f64; 2] {
-    let (mut squares, mut count, mut widths) = (0.0, 0.0, Vec::new());
+    let (mut squares, mut expected, mut widths) = (0.0, 0.0, Vec::new());
     for run in runs {
         let mut random = common::Random::new(100 * run.parse::<u64>().expect("a number"));
         for draw in 0..32 {
@@ -166,27 +167,48 @@ fn held_out(rows: &[Vec<String>], runs: [&str; 2]) -> [f64; 2] {
             for k in (1..poses.len()).rev() {
                 poses.swap(k, random.below(k + 1));
             }
+            let what = MultiPosition { terms: Terms::NONE.with(Term::Drift), ..ROBUST };
+            let all = multi_position(&poses, array_gravity(), what).expect("an answer");
+            let scatter = all.fitted_rms_mps2.powi(2) * all.poses as f64 / all.dof as f64;
             let (fitted, held) = poses.split_at(13);
             let auto = multi_position(fitted, array_gravity(), AUTO).expect("an answer");
+            let back = |pose: &Pose| Pose { time_s: -pose.time_s, ..*pose };
+            let reversed: Vec<Pose> = fitted.iter().map(back).collect();
+            let reversed = multi_position(&reversed, array_gravity(), AUTO).expect("an answer");
             widths.push(auto.half_width_95(Parameter::MisalignmentXz) * 1e3);
-            let scatter = auto.pose_sd_mps2.powi(2);
+            let freedom = auto.interval_dof.expect("of residuals");
             for pose in held {
-                let size = norm(pose.mean_mps2);
-                let up = pose.mean_mps2.map(|y| y / size);
-                let by = |i: usize| match i {
-                    0..3 => up[i],
-                    i => size * up[(i - 3) / 3] * up[(i - 3) % 3],
-                };
-                let matrix = auto.covariance.matrix();
-                let parts = (0..144).map(|k| by(k / 12) * by(k % 12) * matrix[k / 12][k % 12]);
-                let variance = scatter + parts.sum::<f64>();
-                squares += auto.residual_mps2(pose).powi(2) / variance;
-                count += 1.0;
+                squares += auto.residual_mps2(pose).powi(2) / variance([&auto, &reversed], pose);
+                // The variance that they show, with its prior of 3 mm/s² and one degree of freedom.
+                let own: f64 = (1..freedom.round() as usize).map(|_| random.normal().powi(2)).sum();
+                expected += freedom * scatter / (own * scatter + 9e-6);
             }
         }
     }
     widths.sort_by(f64::total_cmp);
-    [f64::sqrt(squares / count), widths[widths.len() * 9 / 10]]
+    [f64::sqrt(squares / expected), widths[widths.len() * 9 / 10]]
+}
+
+/// Variance of |f| − g at a pose that was not fitted, by a fit with drift and the same of reversed times: the covariance of
+/// an estimate is that at its last pose.
+fn variance([estimate, reversed]: [&Estimate; 2], pose: &Pose) -> f64 {
+    let size = norm(pose.mean_mps2);
+    let up = pose.mean_mps2.map(|y| y / size);
+    let by = |i: usize| match i {
+        0..3 => up[i],
+        i => size * up[(i - 3) / 3] * up[(i - 3) % 3],
+    };
+    let at_end = |estimate: &Estimate| {
+        let matrix = estimate.covariance.matrix();
+        (0..144).map(|k| by(k / 12) * by(k % 12) * matrix[k / 12][k % 12]).sum::<f64>()
+    };
+    let drift = estimate.drift.expect("the poses have times");
+    let early = (drift.end_s - pose.time_s) / drift.span_s;
+    let of_drift: f64 =
+        (0..3).map(|axis| (up[axis] * estimate.term_sd.drift_mps2[axis]).powi(2)).sum();
+    let of_fit = (1.0 - early) * at_end(estimate) + early * at_end(reversed)
+        - early * (1.0 - early) * of_drift;
+    estimate.pose_sd_mps2.powi(2) + of_fit
 }
 
 #[test]
@@ -198,15 +220,15 @@ fn auto_predicts_poses_held_out_without_needless_intervals() {
         let [deviate, width] = held_out(&rows, runs);
         figure(
             &format!(
-                "8 MPU-9150, runs {}, `auto` of 13 poses: error of those held out over its deviation; 90 % point of the half width of m_xz, mrad",
+                "8 MPU-9150, runs {}, `auto` of 13 poses: error of those held out over that expected; 90 % point of the half \
+                 width of m_xz, mrad",
                 runs.join(" and ")
             ),
             format!("{deviate:.2}; {width:.2}"),
-            &format!("0.5 to 1.4; at most {most}"),
-            (0.5..1.4).contains(&deviate) && width <= most,
+            &format!("0.7 to 1.4; at most {most}"),
+            (0.7..1.4).contains(&deviate) && width <= most,
         );
-        // Thirteen poses hardly show a scatter of a third of the usual one.
-        assert!((0.4..1.4).contains(&deviate) && width <= most, "{deviate}, {width}");
+        assert!((0.7..1.4).contains(&deviate) && width <= most, "{deviate}, {width}");
     }
 }
 

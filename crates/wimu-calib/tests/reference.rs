@@ -4,7 +4,7 @@ use crate::common;
 
 use common::Random;
 use proptest::prelude::*;
-use wimu_calib::{NoiseFrom, NoiseRatio, Reason, ReferenceTransfer, Refusal};
+use wimu_calib::{NoiseFrom, Reason, ReferenceTransfer, Refusal};
 use wimu_testkit::{Coverage, Lane, coverage_figure, draws};
 
 /// A hand's motion about a tilted gravity, m/s².
@@ -41,16 +41,13 @@ struct Trial {
     /// Noise of the reference and of the output, m/s², and for how many samples it lasts.
     sd: [f64; 2],
     memory: f64,
-    /// Whether the ratio of the noises is given.
-    ratio_known: bool,
     /// What the output's axes see of the reference's others, 1 σ, above the diagonal and below.
     across: [f64; 2],
     /// Held in ten orientations, or moved all the time.
     rests: bool,
 }
 
-const PARALLEL: Trial =
-    Trial { sd: [0.03, 0.03], memory: 0.0, ratio_known: false, across: [0.0; 2], rests: false };
+const PARALLEL: Trial = Trial { sd: [0.03, 0.03], memory: 0.0, across: [0.0; 2], rests: false };
 
 /// Samples of a sensor, at 20 Hz.
 const SAMPLES: usize = 640;
@@ -94,11 +91,7 @@ fn coverage(trial: Trial) -> [Coverage; 3] {
         } else {
             (0..SAMPLES).map(|k| motion(5 * k)).collect()
         };
-        let mut transfer = if trial.ratio_known {
-            ReferenceTransfer::new(NoiseRatio::new(trial.sd[1], trial.sd[0]).expect("noise"))
-        } else {
-            ReferenceTransfer::of_unknown_noise()
-        };
+        let mut transfer = ReferenceTransfer::new();
         for force in forces {
             let mut of = |k: usize| trial.sd[k / 3] * noises[k].next(&mut random);
             let reference = [0, 1, 2].map(|axis| force[axis] + of(axis));
@@ -161,7 +154,7 @@ fn coverage_of_unknown_noise(hz: f64, amplitude: f64, sd: [f64; 2], memory: f64)
                 (0.01 * rate, random.within(std::f64::consts::PI))
             })
         });
-        let mut transfer = ReferenceTransfer::of_unknown_noise();
+        let mut transfer = ReferenceTransfer::new();
         for k in 0..3200 {
             let force: [f64; 3] = std::array::from_fn(|axis| {
                 let swing = |(rate, phase): (f64, f64)| (rate * f64::from(k) + phase).sin();
@@ -234,7 +227,7 @@ fn transfer_of(
     let mut random = Random::new(seed);
     let slow = 0.2 + random.uniform();
     let bias: [f64; 3] = std::array::from_fn(|_| random.within(0.5));
-    let mut transfer = ReferenceTransfer::of_unknown_noise();
+    let mut transfer = ReferenceTransfer::new();
     for k in 0..6000 {
         let tilt = 1.4 * (slow * 0.01 * f64::from(k)).sin();
         let heading = 0.007 * f64::from(k);
@@ -297,68 +290,13 @@ fn counts_however_coarse_that_stop_nowhere_are_not_taken_for_saturated() {
     }
 }
 
-#[test]
-fn noise_of_the_reference_does_not_shrink_the_scale_factor_as_least_squares_lets_it() {
-    let mut random = Random::new(5);
-    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
-    let (mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0);
-    for k in 0..20_000 {
-        let force = motion(k)[0];
-        let a = force + 0.5 * random.normal();
-        let b = 1.04 * force + 0.5 * random.normal();
-        transfer.push([a, 0.0, 0.0], [b, 0.0, 0.0]);
-        (x, y, xx, xy) = (x + a, y + b, xx + a * a, xy + a * b);
-    }
-    let ordinary = (xy - x * y / 2e4) / (xx - x * x / 2e4);
-    let line = transfer.result().expect("an answer").axes[0].line.expect("it moved");
-    assert!(ordinary < 0.98, "{ordinary}");
-    assert!((line.scale - 1.04).abs() < 0.01, "{line:?}");
-}
-
 proptest! {
     #![proptest_config(common::config())]
-
-    /// Independent computation: the direction of least variance of the scaled cloud, found by
-    /// search over its angle, from two passes over stored data.
-    #[test]
-    fn the_slope_is_the_direction_of_most_variance(seed: u64, ratio in 0.2_f64..5.0, n in 40_usize..400) {
-        let mut random = Random::new(seed);
-        let truth = 1.0 + random.within(0.3);
-        let pairs: Vec<[f64; 2]> = (0..n)
-            .map(|k| {
-                let force = motion(7 * k)[0];
-                [force + 0.05 * random.normal(), 0.4 + truth * force + 0.05 * ratio * random.normal()]
-            })
-            .collect();
-        let mut transfer = ReferenceTransfer::new(NoiseRatio::new(ratio, 1.0).unwrap());
-        for [x, y] in &pairs {
-            transfer.push([*x, 0.0, 0.0], [*y, 0.0, 0.0]);
-        }
-        let mean = |i: usize| pairs.iter().map(|p| p[i]).sum::<f64>() / n as f64;
-        let means = [mean(0), mean(1)];
-        let spread = |angle: f64| -> f64 {
-            let (sin, cos) = angle.sin_cos();
-            pairs
-                .iter()
-                .map(|p| (cos * (p[1] - means[1]) / ratio - sin * (p[0] - means[0])).powi(2))
-                .sum()
-        };
-        let (mut low, mut high) = (0.0_f64, std::f64::consts::FRAC_PI_2);
-        for _ in 0..200 {
-            let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
-            if spread(a) < spread(b) { high = b } else { low = a }
-        }
-        let slope = ratio * low.tan();
-        let line = transfer.result().unwrap().axes[0].line.unwrap();
-        prop_assert!((line.scale - slope).abs() < 1e-6 * slope, "{} {}", line.scale, slope);
-        let bias = means[1] - slope * means[0];
-        prop_assert!((line.bias_mps2 - bias).abs() < 1e-5, "{} {}", line.bias_mps2, bias);
-    }
 
     #[test]
     fn a_stream_against_itself_is_exact(seed: u64, n in 40_usize..5000) {
         let mut random = Random::new(seed);
-        let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+        let mut transfer = ReferenceTransfer::new();
         for k in 0..n {
             let force = motion(13 * k).map(|f| f + random.normal());
             transfer.push(force, force);
@@ -368,7 +306,7 @@ proptest! {
         for axis in found.axes {
             let line = axis.line.unwrap();
             prop_assert_eq!((axis.offset_mps2, axis.rms_mps2), (0.0, 0.0));
-            prop_assert_eq!((line.bias_mps2, line.scale, line.noise_from), (0.0, 1.0, NoiseFrom::Ratio));
+            prop_assert_eq!((line.bias_mps2, line.scale), (0.0, 1.0));
             prop_assert!(line.covariance.iter().flatten().all(|c| c.abs() < 1e-18), "{:?}", line.covariance);
         }
     }
@@ -379,7 +317,7 @@ fn at_one_static_pose_the_offset_alone_is_known() {
     let mut held = Coverage::default();
     for seed in 0..sensors(1500) {
         let mut random = Random::new(seed);
-        let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+        let mut transfer = ReferenceTransfer::new();
         for k in 0..3200 {
             // Both drift by the same 30 mm/s² as they warm up.
             let drift = 0.03 * f64::from(k) / 3200.0;
@@ -407,7 +345,7 @@ fn at_one_static_pose_the_offset_alone_is_known() {
 
 #[test]
 fn bad_input_is_refused_or_left_out() {
-    let mut transfer = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let mut transfer = ReferenceTransfer::new();
     assert!(matches!(
         transfer.result(),
         Err(Refusal { reason: Reason::TooFew { have: 0, .. }, .. })
@@ -421,9 +359,9 @@ fn bad_input_is_refused_or_left_out() {
     assert_eq!((found.samples, found.not_finite), (1000, 2));
 
     // Different motions, a mirrored axis, and a motion in one short part only.
-    let mut other = ReferenceTransfer::new(NoiseRatio::EQUAL);
-    let mut mirrored = ReferenceTransfer::new(NoiseRatio::EQUAL);
-    let mut short = ReferenceTransfer::new(NoiseRatio::EQUAL);
+    let mut other = ReferenceTransfer::new();
+    let mut mirrored = ReferenceTransfer::new();
+    let mut short = ReferenceTransfer::new();
     for k in 0..3200 {
         let [x, y, z] = motion(k);
         other.push([x, y, z], motion(k + 137));
@@ -443,6 +381,4 @@ fn bad_input_is_refused_or_left_out() {
         }
     }
     assert!(matches!(short.result(), Err(Refusal { reason: Reason::NotObservable, .. })));
-    assert_eq!(NoiseRatio::new(0.0, 1.0), None);
-    assert_eq!(NoiseRatio::new(1.0, f64::NAN), None);
 }

@@ -46,35 +46,6 @@ proptest! {
 }
 
 #[test]
-fn tilts_of_a_turn_do_to_bias_and_scale_factor_what_the_equations_say() {
-    // The axis of rotation δ from level, the sensitive axis ε out of the plane.
-    let (delta, epsilon) = (0.05_f64, 0.08_f64);
-    let (bias, a) = (0.2, 1.03);
-    let readings = |steps: usize| -> Vec<Pose> {
-        (0..steps)
-            .map(|k| {
-                let angle = std::f64::consts::TAU * k as f64 / steps as f64;
-                let along = |phase: f64| {
-                    let in_plane = delta.cos() * epsilon.cos() * (angle - phase).cos();
-                    bias + a * G * (in_plane + delta.sin() * epsilon.sin())
-                };
-                Pose::from_mean([along(0.0), along(std::f64::consts::FRAC_PI_2), 0.0])
-            })
-            .collect()
-    };
-    for steps in [4, 3] {
-        let poses = readings(steps);
-        let placement = Placement::new(0.0).expect("placement");
-        let method = if steps == 4 { four_angle } else { three_angle };
-        let estimate = method(&poses, exact(), placement).expect("an answer");
-        let found = estimate.model.terms();
-        let shift = a * G * delta.sin() * epsilon.sin();
-        assert!((found.bias_mps2[0] - bias - shift).abs() < 1e-9);
-        assert!((found.matrix[0][0] - a * delta.cos() * epsilon.cos()).abs() < 1e-9);
-    }
-}
-
-#[test]
 fn what_is_no_turn_is_refused() {
     let perfect = ErrorModel::default();
     let at = |up: [f64; 3]| pose(&perfect, G, unit(up));
@@ -197,6 +168,10 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
         ("a step 12° off", 0.0, 12.0),
     ] {
         for steps in [4, 3] {
+            // Three steps leave no redundancy for an unequal one, which the command says.
+            if steps == 3 && step > 0.0 {
+                continue;
+            }
             let (mut answered, mut held) = (Coverage::default(), Coverage::default());
             let mut worst = 0.0_f64;
             for seed in 0..trials(1000) as u64 {
@@ -259,56 +234,4 @@ fn a_turn_off_level_or_of_unequal_steps_is_refused_or_its_interval_says_so() {
         &all_held,
         0.93..=1.0,
     );
-}
-
-#[test]
-fn a_wrong_step_in_one_of_three_turns_is_in_the_intervals() {
-    let degree = std::f64::consts::PI / 180.0;
-    let [mut detected, mut wrongly, mut held] = [Coverage::default(); 3];
-    for seed in 0..trials(1000) as u64 {
-        let mut random = Random::new(seed);
-        let truth = random.model(false);
-        for step in [0.0, 10.0] {
-            let mut poses = Vec::new();
-            for axis in 0..3 {
-                for k in 0..3 {
-                    let wrong = if (axis, k) == (2, 1) { step } else { 0.0 };
-                    let off = wrong + 0.5 * random.normal();
-                    let angle = (120.0 * k as f64 + off) * degree;
-                    let mut up = [0.0; 3];
-                    up[(axis + 1) % 3] = angle.cos();
-                    up[(axis + 2) % 3] = angle.sin();
-                    let mut pose = pose(&truth, G, up);
-                    jitter(&mut random, &mut pose, 0.001);
-                    poses.push(pose);
-                }
-            }
-            let placement = Placement::new(0.5 * degree).expect("placement");
-            let Ok(estimate) = three_angle(&poses, exact(), placement) else {
-                continue;
-            };
-            let contradicted = estimate.interval_dof.is_some();
-            if step == 0.0 {
-                wrongly.count(contradicted);
-                continue;
-            }
-            detected.count(contradicted);
-            for axis in 0..3 {
-                let off = estimate.model.terms().bias_mps2[axis] - truth.terms().bias_mps2[axis];
-                held.count(off.abs() <= estimate.half_width_95(Parameter::ALL[axis]));
-            }
-        }
-    }
-    println!(
-        "a step 10° off: detected {detected}, biases held {held}; without one detected {wrongly}"
-    );
-    coverage_figure(
-        "three turns, one step 10° off: 95 % intervals of biases hold",
-        &[held],
-        0.93..=1.0,
-    );
-    coverage_figure("three good turns are said to contradict", &[wrongly], 0.0..=0.04);
-    // Errors of a step are in both axes of its turn: a little more often than one in two hundred.
-    wrongly.assert_can_be(0.0..=0.04, "without a wrong step");
-    held.assert_can_be(0.93..=1.0, "biases");
 }

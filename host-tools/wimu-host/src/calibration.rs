@@ -15,7 +15,6 @@ mod paired;
 mod poses;
 mod reference;
 mod report;
-mod saturation;
 mod several;
 pub mod source;
 mod update;
@@ -35,7 +34,7 @@ pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibr
 pub use paired::Paired;
 pub(crate) use poses::Fitting;
 pub use poses::calibrate;
-pub use reference::{AxisReport, NoiseSource, ReferenceReport, compare_with_reference};
+pub use reference::{AxisReport, ReferenceReport, compare_with_reference};
 pub use report::{
     CalibrationReport, Criterion, DriftReport, Fit, Grade, NextPose, Source, StaticPose,
 };

@@ -21,7 +21,6 @@ mod fleet;
 #[cfg(target_os = "linux")]
 mod fleet_campaign;
 mod full_disk;
-mod full_scale;
 mod gyroscope;
 mod hostile;
 mod keys;

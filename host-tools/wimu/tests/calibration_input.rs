@@ -40,7 +40,6 @@ fn allan_refuses_a_wrong_unit_and_remarks_counts_coarser_than_the_noise() {
     let ran = run(at_rest(|f| (f / 0.04).round() * 0.04, "m/s²"));
     let coarse = texts.findings("steps of 0.04 m/s²", &ran);
     assert_eq!(coarse["accelerometer"]["axes"][2]["is_coarse"], true, "{coarse}");
-    texts.findings("clipped", &run(at_rest(|f| f.min(9.81), "m/s²")));
     texts.check("allan_units_and_steps");
 }
 
@@ -67,6 +66,24 @@ fn what_was_fitted_is_printed_with_its_deviation() {
     ran.succeeds();
     texts.text("calibrate --model 9", &ran);
     texts.check("calibrate");
+}
+
+#[test]
+fn an_output_that_is_not_linear_is_named_with_the_model_that_fits() {
+    let folder = folder();
+    let csv = folder.path().join("bent.csv").display().to_string();
+    // A quadratic term of 2 · 10⁻⁶ a count at 16384 LSB/g.
+    let bent = spread(20).into_iter().map(|up| up.map(|u| u + 0.0328 * u * u));
+    fs::write(&csv, means(&bent.collect::<Vec<_>>())).unwrap();
+    let mut texts = Transcript::default();
+    let calibrate = |model: &str| wimu(&["calibrate", &csv, "--poses", "--model", model]);
+    texts.findings("9", &calibrate("9"));
+    texts.refuses("auto", &calibrate("auto"));
+    for model in ["9+quadratic", "auto+quadratic"] {
+        let fit = calibrate(model).succeeds();
+        assert!(fit["loo_rms_mm_s2"].as_f64().unwrap() < 10.0, "{model}: {fit}");
+    }
+    texts.check("calibrate_nonlinear");
 }
 
 #[test]
@@ -107,65 +124,4 @@ fn the_advice_to_give_a_sensitivity_can_be_followed_with_every_method() {
         wimu(&["convert", &cal, "--to", "c", "-o", &c]).succeeds();
     }
     texts.check("calibrate_without_sensitivity");
-}
-
-/// A sensor of 4096 LSB/g with noise of 8 LSB that is held in 20 orientations, each axis up and down
-/// among them, and ends at ± `limit` m/s².
-fn held(limit: f64) -> String {
-    let mut text =
-        String::from("Time (s),Accelerometer X (LSB),Accelerometer Y (LSB),Accelerometer Z (LSB)");
-    let mut normal = noise();
-    let mut noise = |sd: f64| sd * normal();
-    let mut ups = vec![];
-    for axis in 0..3 {
-        for sign in [1.0, -1.0] {
-            let mut up = [0.0; 3];
-            up[axis] = sign;
-            ups.push(up);
-        }
-    }
-    for k in 0..14 {
-        let z = 1.0 - (f64::from(k) + 0.5) / 7.0;
-        let (sin, cos) = (f64::from(k) * 2.4).sin_cos();
-        let across = (1.0 - z * z).sqrt();
-        ups.push([across * cos, across * sin, z]);
-    }
-    let mut k = 0;
-    for up in ups {
-        for n in 0..400 {
-            let moving = if n < 100 { 2.0 } else { 0.0 };
-            write!(text, "\n{:.2}", f64::from(k) * 0.01).unwrap();
-            k += 1;
-            for (axis, up) in up.into_iter().enumerate() {
-                let y = [0.05, -0.1, 0.2][axis] + 9.80665 * up + noise(moving) + noise(0.02);
-                let lsb = (y.clamp(-limit, limit) * 4096.0 / 9.80665).round();
-                write!(text, ",{lsb}").unwrap();
-            }
-        }
-    }
-    text
-}
-
-#[test]
-fn poses_that_an_axis_ends_in_are_refused_however_few_and_in_part() {
-    let folder = folder();
-    let csv = folder.path().join("held.csv").display().to_string();
-    let run = |limit: f64, more: &[&str]| {
-        fs::write(&csv, held(limit)).unwrap();
-        let all = ["calibrate", &csv, "--gravity", "9.80665", "--sensitivity", "4096"];
-        wimu(&[&all[..], more].concat())
-    };
-    // Motion alone reaches this limit.
-    let free = run(12.0, &[]).succeeds();
-    assert!((free["model"]["bias_m_s2"][2].as_f64().unwrap() - 0.2).abs() < 0.003, "{free}");
-    // Y down reads 9.907, Z up 10.007: at these limits two thirds of the one's samples end there, then
-    // half and a sixth of the other's.
-    let mut texts = Transcript::default();
-    for (axis, limit) in [("Y", 9.9), ("Z", 10.007), ("Z", 10.027)] {
-        for more in [&[][..], &["--model", "auto"], &["--method", "six-position"]] {
-            let case = format!("{axis} ends at {limit} {}", more.join(" "));
-            texts.refuses(case, &run(limit, more));
-        }
-    }
-    texts.check("calibrate_saturated_axes");
 }

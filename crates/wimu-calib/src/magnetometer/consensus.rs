@@ -2,8 +2,6 @@
 
 use alloc::vec::Vec;
 
-use nalgebra::{Matrix3, Vector3};
-
 use super::fit::{Iron, Magnitude, Scaled, inverse_soft, sphere, start};
 use super::{EARTHS_NT, FEWEST, MagneticPose};
 use crate::least_squares::ResidualModel;
@@ -14,15 +12,9 @@ const SCALES: [f64; 4] = [0.3, 0.1, 0.03, 0.01];
 const AGREES: f64 = 0.02;
 /// Largest ratio of the axes of the ellipsoid by soft iron. A longer ellipsoid fits any poses.
 const MOST_STRETCH: f64 = 2.0;
-/// Smallest eigenvalue of the scatter of the orientations, whose eigenvalues have sum one.
-const SPREAD: f64 = 0.12;
-/// Smallest over largest eigenvalue of the scatter of the outputs.
-const LEAST_DEPTH: f64 = 0.02;
 
-/// The rms relative disturbance of the field, the disturbed poses, and their number; `None` if the
-/// poses do not show it. Equation (56).
-pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Vec<usize>, usize)> {
-    let n = poses.len() as f64;
+/// The rms relative disturbance of the field, and the disturbed poses; `None` if the poses do not show it. Equation (56).
+pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Vec<usize>)> {
     let scaled = Scaled::of(poses.iter())?;
     let point = |p: &MagneticPose| scaled.point(p);
     let field = Magnitude(poses.iter().map(point).collect());
@@ -42,29 +34,12 @@ pub(super) fn disturbed(poses: &[MagneticPose]) -> Option<(f64, Vec<usize>, usiz
     }
     let off = off?;
     let count = agreeing(&off);
-    let left = poses.len() - count;
-    if count >= FEWEST && 2 * count > poses.len() && left > 0 {
-        let disturbed = (0..poses.len()).filter(|k| off[*k].abs() >= AGREES).collect();
-        let squares: f64 = off.iter().map(|off| off * off).sum();
-        return Some((libm::sqrt(squares / n), disturbed, left));
-    }
-    // Few inliers: was the sensor turned in all directions?
-    let scatter = |v: &dyn Fn(&MagneticPose) -> Vector3<f64>| {
-        let sum: Matrix3<f64> = poses.iter().map(|p| v(p) * v(p).transpose()).sum();
-        let values = sum.symmetric_eigenvalues();
-        [values.min(), values.max()].map(|value| value / n)
-    };
-    let ups = scatter(&|p| Vector3::from(p.up).normalize());
-    let fields = scatter(&point);
-    let turned = ups[0] > SPREAD && fields[0] > LEAST_DEPTH * fields[1];
-    if !turned || 2 * count > poses.len() {
+    if count < FEWEST || 2 * count <= poses.len() || count == poses.len() {
         return None;
     }
-    let size = |p: &MagneticPose| point(p).norm();
-    let mean = poses.iter().map(size).sum::<f64>() / n;
-    let spread = poses.iter().map(|p| size(p) / mean - 1.0);
-    let share = libm::sqrt(spread.map(|s| s * s).sum::<f64>() / n);
-    Some((share, Vec::new(), poses.len()))
+    let disturbed = (0..poses.len()).filter(|k| off[*k].abs() >= AGREES).collect();
+    let squares: f64 = off.iter().map(|off| off * off).sum();
+    Some((libm::sqrt(squares / poses.len() as f64), disturbed))
 }
 
 /// Number of inliers.

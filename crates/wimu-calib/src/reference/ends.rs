@@ -79,11 +79,11 @@ impl Ends {
     /// The first extreme value, of the output if possible, at which a stream is clipped: on average
     /// the other stream exceeds the regression line through the remaining samples. Noise, which is
     /// selected by the extreme value, has the opposite effect.
-    pub fn stopped(&self, all: &AxisSums, delta: f64) -> Option<Stopped> {
-        [1, 0].into_iter().find_map(|side| self.stopped_on(side, all, delta))
+    pub fn stopped(&self, all: &AxisSums) -> Option<Stopped> {
+        [1, 0].into_iter().find_map(|side| self.stopped_on(side, all))
     }
 
-    fn stopped_on(&self, side: usize, all: &AxisSums, delta: f64) -> Option<Stopped> {
+    fn stopped_on(&self, side: usize, all: &AxisSums) -> Option<Stopped> {
         let piles = || {
             let ends = self.ends[side].iter().enumerate();
             ends.filter(|(_, end)| end.n >= PILE)
@@ -93,7 +93,7 @@ impl Ends {
             sums.without(side, end.at, sums_of_it)
         });
         let moments = free.moments();
-        let slope = moments.slope(delta).filter(|_| free.n >= PILE)?;
+        let slope = moments.slope().filter(|_| free.n >= PILE)?;
         let noise = libm::sqrt(moments.left(slope).max(0.0));
         let step = |side: usize| self.step[side].unwrap_or(0.0);
         let hidden = HIDDEN_STEPS * (step(1) + slope.abs() * step(0));

@@ -34,8 +34,6 @@ pub(super) struct Fitting {
 /// Method of a regression.
 #[derive(Clone, Copy)]
 pub(super) enum How {
-    /// With the ratio of noise variances, output over reference.
-    Deming(f64),
     /// From lagged products, index into [`LAGS`].
     Neighbours(usize),
     /// The mean of the bounds: all noise in one stream or in the other.
@@ -146,7 +144,6 @@ impl Fitting {
         let spread = sums.central();
         let shares = self.with.map(|with| f64::from(u8::from(with)));
         let row = match how {
-            How::Deming(delta) => self.row(&spread, self.deming(&spread, delta, shares)?),
             How::Neighbours(lag) => {
                 self.row(&spread, self.deming(&sums.lagged(lag)?, 1.0, shares)?)
             }
@@ -236,7 +233,6 @@ impl Fitting {
     ) -> Option<()> {
         let spread = sums.central();
         match how {
-            How::Deming(_) => {}
             How::Neighbours(lag) => {
                 // Correlated noise belongs to the output or to its axis.
                 let shared = sums.lagged(lag)?;

@@ -189,16 +189,15 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// Deming's slope, equation (50); δ is the variance of the output's noise per that of the
-    /// reference's.
-    pub fn slope(&self, delta: f64) -> Option<f64> {
-        let apart = self.yy - delta * self.xx;
-        let root = libm::sqrt(apart * apart + 4.0 * delta * self.xy * self.xy);
+    /// Deming's slope for equal noise, equation (50).
+    pub fn slope(&self) -> Option<f64> {
+        let apart = self.yy - self.xx;
+        let root = libm::hypot(apart, 2.0 * self.xy);
         // Two forms of the same root; each keeps its digits on its side.
         let slope = if apart >= 0.0 {
             (apart + root) / (2.0 * self.xy)
         } else {
-            2.0 * delta * self.xy / (root - apart)
+            2.0 * self.xy / (root - apart)
         };
         (slope.is_finite() && slope != 0.0).then_some(slope)
     }

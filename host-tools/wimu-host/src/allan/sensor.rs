@@ -56,8 +56,6 @@ pub struct AxisNoise {
     pub step: f64,
     /// Whether that step is larger than the noise: then the figures are those of the quantisation.
     pub is_coarse: bool,
-    /// Samples at the highest or lowest output in excess of the noise: the output is clipped.
-    pub clipped_samples: u64,
 }
 
 /// One averaging time.
@@ -180,7 +178,6 @@ impl SensorNoise {
             sample_sd: axis.sample_sd_mps2,
             step: axis.step_mps2,
             is_coarse: axis.is_coarse(),
-            clipped_samples: axis.clipped_samples,
         });
         Ok(Self { kind, axes, points: allan.points().map(Point::from).collect() })
     }
@@ -217,14 +214,6 @@ impl AxisNoise {
                 "{name}: low-pass filtered or repeated samples: the noise terms are fitted from {} s on",
                 significant(tau_s, 3)
             )));
-        }
-        if self.clipped_samples > 0 {
-            let text = format!(
-                "{name}: {} samples are clipped: the noise is larger",
-                self.clipped_samples
-            );
-            let remedy = "choose a larger range or rotate the axis away from its end";
-            problems.push(Code::Saturated.warning(text).remedy(remedy));
         }
         problems
     }

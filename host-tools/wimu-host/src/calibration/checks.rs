@@ -1,8 +1,10 @@
 //! Checks of a session and its estimate: why there is no answer, and what a user should know beside the numbers.
 
+use std::cmp::Ordering;
+
 use wimu_calib::{
     Covariance, Datasheet, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters,
-    Pose, Reason, Refusal, Term, UnitHint, multi_position,
+    Pose, Reason, Refusal, Term, Terms, UnitHint, multi_position,
 };
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -39,14 +41,12 @@ const MIN_ORIENTATIONS: usize = 6;
 /// Largest number of rows that can be pose means, and their largest rate, Hz: a pose takes seconds.
 const MAX_MEANS: usize = 2000;
 const MAX_MEANS_HZ: f64 = 5.0;
-/// Angle between the means of successive seconds of a sensor that is rotated slowly by hand, degrees. Chosen.
-const SLOW_ROTATION: std::ops::RangeInclusive<f64> = 0.5..=30.0;
+/// Fewest degrees of freedom of a fit that is offered instead of a refused one: with fewer any poses fit.
+const MIN_REDUNDANCY: usize = 3;
 
-/// Poses that cannot be those of an accelerometer in m/s²: clipped, of a wrong unit or sensitivity, or normalised.
+/// Poses that cannot be those of an accelerometer in m/s²: of a wrong unit or sensitivity, or normalised.
 pub(super) fn refusal(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
-    wrong_unit(data, found, gravity)
-        .or(found.saturated.map(Refusal::saturated))
-        .or_else(|| wrong_magnitude(found, gravity))
+    wrong_unit(data, found, gravity).or_else(|| wrong_magnitude(found, gravity))
 }
 
 /// A wrong unit of samples in which few poses were found: in it, noise looks like motion.
@@ -150,21 +150,18 @@ impl Context<'_> {
             return reason
                 + " The rows look like means over static poses: if they are, add --poses.";
         }
-        if let (Reason::TooFew { .. }, Some(deg_per_s)) = (refusal.reason, slow_rotation(data)) {
-            let text = format!(" The sensor rotated all the time, at {deg_per_s:.0} °/s.");
-            return reason + &text + " Hold it still in each pose.";
-        }
         if has == 1 && !data.poses {
             return reason + " For the noise of a sensor at rest use `wimu allan`.";
         }
-        if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
+        let contradict =
+            matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. });
+        if contradict && options.method == MethodChoice::MultiPosition {
             reason.extend(self.what_changed());
         }
         if !refusal.needs_poses() || options.method != MethodChoice::MultiPosition {
             return reason;
         }
-        let with_priors = MultiPosition { priors: true, ..options.multi_position() };
-        if options.model != ModelChoice::Auto && has >= with_priors.fewest_poses() {
+        if self.has_answer_with_priors() {
             return reason
                 + " --model auto holds what they do not determine at typical tolerances.";
         }
@@ -174,6 +171,14 @@ impl Context<'_> {
                        parameters.";
         }
         reason
+    }
+
+    /// Whether `--model auto` gives an answer where the poses alone do not.
+    fn has_answer_with_priors(&self) -> bool {
+        let Ok((gravity, _)) = self.options.gravity() else { return false };
+        let with_priors = MultiPosition { priors: true, ..self.options.multi_position() };
+        self.options.model != ModelChoice::Auto
+            && multi_position(self.poses, gravity, with_priors).is_ok()
     }
 
     fn incomplete_rotation(&self, pose: usize, steps: usize) -> String {
@@ -194,31 +199,29 @@ impl Context<'_> {
         )
     }
 
-    /// Which effect may have changed the bias between poses, and which option fits it.
+    /// The effect with which the poses that contradict each other have the best fit, and its option.
     fn what_changed(&self) -> Option<String> {
         let options = self.options;
-        if options.method != MethodChoice::MultiPosition
-            || options.terms.contains(Term::BiasTemperature)
-        {
-            return None;
-        }
-        let ends = |values: Option<Vec<f64>>| {
-            let values = values?;
-            let low = values.iter().copied().reduce(f64::min)?;
-            Some((low, values.into_iter().fold(low, f64::max)))
+        let (gravity, _) = options.gravity().ok()?;
+        let what = options.multi_position();
+        let base = if what.priors { "auto" } else { "9" };
+        let effects = [
+            ("temperature", [Term::BiasTemperature, Term::ScaleTemperature].into_iter().collect()),
+            ("drift", Terms::NONE.with(Term::Drift)),
+            ("quadratic", Terms::NONE.with(Term::Quadratic)),
+        ];
+        let fits = effects.into_iter().filter_map(|(name, more): (&str, Terms)| {
+            let terms = what.terms.iter().chain(more.iter()).collect();
+            let fit = multi_position(self.poses, gravity, MultiPosition { terms, ..what }).ok()?;
+            (terms != what.terms && fit.dof >= MIN_REDUNDANCY).then_some((name, fit.loo_rms_mps2))
+        });
+        let (name, _) = fits.min_by(|a, b| a.1.partial_cmp(&b.1).unwrap_or(Ordering::Equal))?;
+        let effect = match name {
+            "temperature" => "The bias may depend on temperature",
+            "drift" => "The bias may have drifted",
+            _ => "The output may not be linear",
         };
-        let celsius = ends(self.poses.iter().map(|pose| pose.temperature_c).collect());
-        if let Some((low, high)) = celsius.filter(|(low, high)| high - low >= 1.0) {
-            return Some(format!(
-                " The temperature changed from {low:.0} to {high:.0} °C: --model auto+temperature fits its effect."
-            ));
-        }
-        if options.terms.contains(Term::Drift) || options.model == ModelChoice::Auto {
-            return None;
-        }
-        let (begin, end) = ends(Some(self.poses.iter().map(|pose| pose.time_s).collect()))?;
-        let text = " The bias may have drifted: --model auto+drift fits that.";
-        (end > begin).then(|| text.to_owned())
+        Some(format!(" {effect}: --model {base}+{name} fits these poses."))
     }
 
     /// All problems but the refusal; `changed` is a change of the sensor during the session.
@@ -239,7 +242,6 @@ impl Context<'_> {
         let Some(estimate) = estimate else { return problems };
         problems.extend(not_fitted(estimate));
         problems.extend(placement(self.poses, estimate));
-        problems.extend(self.in_another_unit(estimate));
         problems.extend(self.sensitivity(estimate));
         problems.extend(unobserved_by_rotations(self.poses, estimate));
         let is_explained = changed.is_some();
@@ -263,22 +265,6 @@ impl Context<'_> {
             problems.push(Code::PosesLeftOut.warning(text));
         }
         problems
-    }
-
-    /// Rejected poses that appear to be in g among poses in m/s².
-    fn in_another_unit(&self, estimate: &Estimate) -> Option<Problem> {
-        let g = estimate.gravity.mps2();
-        let is_in_g = |k: &&usize| {
-            let pose = self.poses.get(**k);
-            pose.is_some_and(|pose| (7.3..13.0).contains(&(g / magnitude(pose.mean_mps2))))
-        };
-        let in_g: Vec<&usize> = self.rejected.iter().filter(is_in_g).collect();
-        if in_g.is_empty() {
-            return None;
-        }
-        let text = "poses that were left out appear to be in g, the others in m/s²";
-        let problem = Code::PosesLeftOut.warning(format!("{text}: {in_g:?} (from 0)"));
-        Some(problem.remedy("use one unit"))
     }
 
     /// Scale factors far from 1.
@@ -356,29 +342,6 @@ fn likely_sensitivity(ratio: f64, used: Option<f64>, sensor: Option<&Datasheet>)
         }
         None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
     }
-}
-
-/// Median angular rate, degrees per second, of a sensor that was rotated slowly and never held still.
-fn slow_rotation(data: &Samples<'_>) -> Option<f64> {
-    if data.poses {
-        return None;
-    }
-    let second = data.rate_hz.round().max(1.0) as usize;
-    let values: Vec<[f64; 3]> = data.values().collect();
-    let mean = |samples: &[[f64; 3]]| {
-        let sum = |axis: usize| samples.iter().map(|value| value[axis]).sum::<f64>();
-        [0, 1, 2].map(|axis| sum(axis) / second as f64)
-    };
-    let means: Vec<[f64; 3]> = values.chunks_exact(second).map(mean).collect();
-    let between = |pair: &[[f64; 3]]| {
-        let dot: f64 = (0..3).map(|axis| pair[0][axis] * pair[1][axis]).sum();
-        let cosine = dot / (magnitude(pair[0]) * magnitude(pair[1]));
-        cosine.clamp(-1.0, 1.0).acos().to_degrees()
-    };
-    let angles: Vec<f64> = means.windows(2).map(between).collect();
-    let turning = angles.iter().filter(|angle| SLOW_ROTATION.contains(angle)).count();
-    let enough = angles.len() >= 20 && 10 * turning >= 9 * angles.len();
-    median(angles).filter(|_| enough)
 }
 
 /// Whether the rows are pose means instead of samples: no times or slow ones, few poses found, and nearly all of the magnitude
@@ -477,43 +440,22 @@ fn not_fitted(estimate: &Estimate) -> Vec<Problem> {
 /// Errors of the placement and the repeatability of known orientations.
 fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
     let mut problems = Vec::new();
-    let Method::SixPosition {
-        placement_sd_rad,
-        declared_sd_rad,
-        misplaced,
-        revisit_sd_mps2,
-        revisits,
-        unexplained,
-    } = estimate.method
+    let Method::SixPosition { placement_sd_rad, declared_sd_rad, revisit_sd_mps2, revisits } =
+        estimate.method
     else {
         return problems;
     };
-    let declared = declared_sd_rad.to_degrees();
-    if let Some(side) = misplaced {
-        let or = if side.or_opposite { " or the opposite side" } else { "" };
-        let text = format!(
-            "side {} up{or} was placed {:.1}° off, declared is {declared:.1}° (1 σ); the intervals of its axis include this",
-            side.face,
-            side.tilt_rad.to_degrees()
-        );
-        problems.push(Code::Placement.warning(text).remedy("repeat it, placed squarely"));
-    }
     if placement_sd_rad > declared_sd_rad {
-        problems.push(Code::Placement.warning(format!(
-            "placement was worse than declared: {:.1}° instead of {declared:.1}° (1 σ); the intervals include this",
-            placement_sd_rad.to_degrees()
-        )));
+        let [shown, declared] = [placement_sd_rad, declared_sd_rad].map(f64::to_degrees);
+        let text = format!(
+            "placement was worse than declared: {shown:.1}° instead of {declared:.1}° (1 σ); the intervals include this"
+        );
+        problems.push(Code::Placement.warning(text).remedy("repeat the sides, placed squarely"));
     }
-    let mm = revisit_sd_mps2 * 1e3;
-    if unexplained {
-        problems.push(Code::Placement.warning(format!(
-            "visits of one side differ by {mm:.1} mm/s² (1 σ), more than noise and placement explain: drift, or different \
-             placement; the standard deviations include this"
-        )));
-    } else if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
+    if revisits == 0 && revisit_sd_mps2 > pose_noise_mps2(poses) {
         let text = format!(
             "each side was measured once: a repeatability of {} mm/s² (1 σ), typical of other sensors, is assumed",
-            significant(mm, 3)
+            significant(revisit_sd_mps2 * 1e3, 3)
         );
         problems.push(Code::Placement.note(text).remedy("measure each side twice to determine it"));
     }

@@ -3,7 +3,9 @@
 use serde::Serialize;
 use wimu_calib::Parameter;
 use wimu_link::hello::sensor;
-use wimu_model::{CalibrationMethod, ErrorTerms, ParameterSet, SensorId};
+use wimu_model::{
+    CalibratedTemperature, CalibrationMethod, ErrorTerms, ParameterSet, QualityTerms, SensorId,
+};
 
 use super::parameter_id;
 use super::report::MISALIGNMENTS;
@@ -153,44 +155,11 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     match &set.quality {
         None => lines.push("no information on how the model was estimated".to_owned()),
         Some(quality) => {
-            let q = quality.terms();
-            let sd = |place: usize| q.covariance.sd(place);
             let unseen = not_observed(set);
             if !unseen.is_empty() {
                 lines.push(format!("not observed, taken as ideal: {}", unseen.join(", ")));
             }
-            lines.push(format!(
-                "± (1 σ) bias {:.5} {:.5} {:.5} m/s², scale factor {:.6} {:.6} {:.6}",
-                sd(0),
-                sd(1),
-                sd(2),
-                sd(3),
-                sd(7),
-                sd(11)
-            ));
-            let mut line = format!(
-                "made by {}, {}, {} of freedom, {:.2} mm/s² rms",
-                q.method,
-                counted(q.poses as usize, "pose"),
-                counted(q.dof as usize, "degree"),
-                q.rms_mps2 * 1e3
-            );
-            if let Some(loo) = q.loo_rms_mps2 {
-                line += &format!(", leave-one-out {:.2}", loo * 1e3);
-            }
-            if let Some(condition) = q.condition {
-                line += &format!(", condition {condition:.1}");
-            }
-            lines.push(line);
-            if let Some(t) = q.temperature {
-                lines.push(format!(
-                    "at {:.1} °C, valid from {:.1} to {:.1} °C",
-                    t.mean_c, t.lowest_c, t.highest_c
-                ));
-            }
-            if let Some(utc_s) = q.utc_s {
-                lines.push(format!("made on {}", date(utc_s)));
-            }
+            lines.extend(quality_lines(quality.terms()));
         }
     }
     let [w, x, y, z] = set.alignment.quaternion();
@@ -209,28 +178,51 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
         let sd = gyroscope
             .sd
             .map_or(String::new(), |sd| format!(" ± {:.5} {:.5} {:.5} (1 σ)", sd[0], sd[1], sd[2]));
-        lines.push(format!(
-            "gyroscope, ±{} °/s: bias {x:+.5} {y:+.5} {z:+.5}{sd} rad/s",
-            gyroscope.range_dps
-        ));
+        let range = gyroscope.range_dps;
+        lines.push(format!("gyroscope, ±{range} °/s: bias {x:+.5} {y:+.5} {z:+.5}{sd} rad/s"));
     }
-    match &set.magnetometer {
-        None => lines.push("magnetometer not calibrated: no heading".to_owned()),
-        Some(model) => {
-            let m = model.terms();
-            let [x, y, z] = m.hard_iron_nt.map(|h| h / 1e3);
-            lines.push(format!(
-                "magnetometer: hard iron {x:+.2} {y:+.2} {z:+.2} µT, field {:.2} µT, {:.2} µT rms{}",
-                m.field_nt / 1e3,
-                m.rms_nt / 1e3,
-                if m.to_accelerometer.is_some() {
-                    ""
-                } else {
-                        "; its rotation is unknown: no heading"
-                }
-            ));
-        }
+    let Some(model) = &set.magnetometer else {
+        lines.push("magnetometer not calibrated: no heading".to_owned());
+        return lines;
+    };
+    let m = model.terms();
+    let [x, y, z] = m.hard_iron_nt.map(|h| h / 1e3);
+    let [field, rms] = [m.field_nt, m.rms_nt].map(|nt| nt / 1e3);
+    let unknown = match m.to_accelerometer {
+        Some(_) => "",
+        None => "; its rotation is unknown: no heading",
+    };
+    lines.push(format!(
+        "magnetometer: hard iron {x:+.2} {y:+.2} {z:+.2} µT, field {field:.2} µT, {rms:.2} µT rms{unknown}"
+    ));
+    lines
+}
+
+/// How a model was estimated, and its deviations.
+fn quality_lines(q: &QualityTerms) -> Vec<String> {
+    let [x, y, z, sx, sy, sz] = [0, 1, 2, 3, 7, 11].map(|place| q.covariance.sd(place));
+    let mut lines = vec![format!(
+        "± (1 σ) bias {x:.5} {y:.5} {z:.5} m/s², scale factor {sx:.6} {sy:.6} {sz:.6}"
+    )];
+    let mut line = format!(
+        "made by {}, {}, {} of freedom, {:.2} mm/s² rms",
+        q.method,
+        counted(q.poses as usize, "pose"),
+        counted(q.dof as usize, "degree"),
+        q.rms_mps2 * 1e3
+    );
+    if let Some(loo) = q.loo_rms_mps2 {
+        line += &format!(", leave-one-out {:.2}", loo * 1e3);
     }
+    if let Some(condition) = q.condition {
+        line += &format!(", condition {condition:.1}");
+    }
+    lines.push(line);
+    if let Some(t) = q.temperature {
+        let CalibratedTemperature { mean_c, lowest_c, highest_c } = t;
+        lines.push(format!("at {mean_c:.1} °C, valid from {lowest_c:.1} to {highest_c:.1} °C"));
+    }
+    lines.extend(q.utc_s.map(|utc_s| format!("made on {}", date(utc_s))));
     lines
 }
 

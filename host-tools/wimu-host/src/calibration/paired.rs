@@ -1,12 +1,10 @@
 //! Two streams of samples of one motion: the wireless link and the cable, or two accelerometers of a recording.
 
-use wimu_calib::{Pose, find_poses};
 use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_model::{Sensitivity, SensorId};
 
 use super::poses::median_magnitude;
-use super::report::MAX_POSES;
 use crate::capture;
 use crate::decode::sequence_order;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};
@@ -202,14 +200,5 @@ impl Paired {
             sensor,
             device_id: wireless.hello().map(|hello| hello.device_id),
         })
-    }
-
-    /// Rests of the reference, 0, or of the output, 1.
-    pub(super) fn rests(&self, which: usize) -> Vec<Pose> {
-        let mut rests = vec![Pose::default(); MAX_POSES];
-        let samples = self.pairs.iter().map(|pair| (pair[which], None));
-        let found = find_poses(samples, self.rate_hz, &mut rests);
-        rests.truncate(found);
-        rests
     }
 }

@@ -13,7 +13,7 @@ use super::report::{Fit, Grade, MAX_POSES, StaticPose};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
     MethodChoice, NextPose, SENSOR_LSB_PER_G, SensorCalibration, Session, Source, checks,
-    gyroscope, magnitude, median, nested, parameter_id, saturation,
+    gyroscope, magnitude, median, nested, parameter_id,
 };
 use crate::csv::AccelerationUnit;
 use crate::plural::counted;
@@ -36,7 +36,7 @@ pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<Calib
     let fitting = Fitting::new(options)?;
     let gravity = fitting.gravity;
     let mut scale = Scale::of(data, options, gravity)?;
-    let mut found = Poses::find(data, scale.mps2, gravity.mps2());
+    let mut found = Poses::find(data, scale.mps2);
     let repeated = found.without_repetitions(options.method);
     options.check_sides(data, &found.poses)?;
     let mut outcome = match checks::refusal(data, &found, gravity) {
@@ -148,20 +148,14 @@ pub(super) struct Poses {
     pub poses: Vec<Pose>,
     /// m/s² per unit at which they were searched.
     pub scale: f64,
-    /// An axis that was saturated in some of them.
-    pub saturated: Option<usize>,
 }
 
 impl Poses {
-    pub fn find(data: &Samples<'_>, scale: f64, gravity_mps2: f64) -> Self {
+    pub fn find(data: &Samples<'_>, scale: f64) -> Self {
         let si = |value: [f64; 3]| value.map(|axis| axis * scale);
-        let forces: Vec<[f64; 3]> = data.values().map(si).collect();
-        let lsb_mps2 = matches!(data.unit, OutputUnit::Counts { .. }).then_some(scale);
         if !data.poses {
-            let poses = data.rests(&forces);
-            let saturated = saturation::full_scale(&forces, &poses, lsb_mps2);
-            let saturated = saturated.or_else(|| saturation::at_rest(forces.into_iter(), &poses));
-            return Self { poses, scale, saturated };
+            let forces: Vec<[f64; 3]> = data.values().map(si).collect();
+            return Self { poses: data.rests(&forces), scale };
         }
         let pose = |(index, output): (usize, Output)| Pose {
             samples: output.samples,
@@ -171,10 +165,7 @@ impl Poses {
             time_s: data.time_s(index).unwrap_or(0.0),
             ..Pose::from_mean(si(output.value))
         };
-        let poses: Vec<Pose> = data.iter().enumerate().map(pose).collect();
-        let saturated = saturation::full_scale(&forces, &poses, lsb_mps2);
-        let saturated = saturated.or_else(|| saturation::equal_ends(&poses, gravity_mps2));
-        Self { poses, scale, saturated }
+        Self { poses: data.iter().enumerate().map(pose).collect(), scale }
     }
 
     /// Removes poses that add nothing: exactly equal to an earlier one (a file joined to itself, or a logger that repeats),

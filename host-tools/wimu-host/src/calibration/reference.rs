@@ -3,9 +3,7 @@
 use std::fmt;
 
 use serde::Serialize;
-use wimu_calib::{
-    AxisTransfer, NoiseFrom, NoiseRatio, Parameter, Pose, ReferenceTransfer, Transfer,
-};
+use wimu_calib::{AxisTransfer, NoiseFrom, Parameter, ReferenceTransfer, Transfer};
 use wimu_model::{
     Alignment, CalibrationMethod, CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance,
     ParameterSet, QualityTerms, Sensitivity, TermDeviations,
@@ -20,7 +18,6 @@ use super::{
     AccelerometerCalibration, Calibration, Correction, SensorCalibration, Session, Source,
     parameter_id,
 };
-use super::{magnitude, median};
 use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
@@ -44,20 +41,9 @@ pub struct AxisReport {
     pub rms_mm_s2: f64,
     /// Whether bias and scale factor could be told apart.
     pub separated: bool,
-    /// How the noise ratio was determined, where bias and scale factor were separated.
-    pub noise_from: Option<NoiseSource>,
-}
-
-/// How the ratio of the noises was determined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NoiseSource {
-    /// From both streams at rest.
-    Rests,
-    /// From neighbouring samples, which have the motion in common but not the noise.
-    Neighbours,
-    /// Not determined: the standard deviations include all noise on either side.
-    Bounds,
+    /// How the noise was determined, where bias and scale factor were separated: from `neighbours`, samples that have the
+    /// motion in common but not the noise, or not: `bounds` that hold all noise.
+    pub noise_from: Option<&'static str>,
 }
 
 /// The report of `wimu calibrate --method reference`.
@@ -80,8 +66,6 @@ pub struct ReferenceReport {
     pub samples: usize,
     /// Fewest degrees of freedom of any standard deviation.
     pub dof: Option<usize>,
-    /// Noise of the output over noise of the reference, at rest.
-    pub noise_ratio: Option<f64>,
     /// Parameters that were not observed, by name.
     pub not_observed: Vec<String>,
     /// X, Y, Z.
@@ -107,12 +91,9 @@ pub struct ReferenceReport {
 
 /// Bias and scale factor of one stream against the other.
 ///
-/// The ratio of their noises is that at rest, else that of neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the
-/// parameter set. Data that do not support an answer give a report with status `refused`.
+/// Their noises are those of neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the parameter set. Data that do not support an answer give a report with status `refused`.
 pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceReport {
-    let ratio = noise_ratio_at([0, 1].map(|which| data.rests(which)));
-    let mut transfer =
-        ratio.map_or_else(ReferenceTransfer::of_unknown_noise, ReferenceTransfer::new);
+    let mut transfer = ReferenceTransfer::new();
     if data.one_sensor {
         transfer = transfer.of_one_sensor();
     }
@@ -125,7 +106,6 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
         reference: data.reference.clone(),
         output: data.output.clone(),
         samples: data.pairs.len(),
-        noise_ratio: ratio.map(NoiseRatio::get),
         sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
         ..ReferenceReport::default()
     };
@@ -157,9 +137,8 @@ impl AxisReport {
             rms_mm_s2: axis.rms_mps2 * 1e3,
             separated: axis.line.is_some(),
             noise_from: axis.line.map(|line| match line.noise_from {
-                NoiseFrom::Ratio => NoiseSource::Rests,
-                NoiseFrom::Neighbours => NoiseSource::Neighbours,
-                NoiseFrom::Bounds => NoiseSource::Bounds,
+                NoiseFrom::Neighbours => "neighbours",
+                NoiseFrom::Bounds => "bounds",
             }),
         }
     }
@@ -267,12 +246,6 @@ fn dof(found: &Transfer) -> usize {
     found.dof.min(least as usize)
 }
 
-/// Noise of the output over noise of the reference, at rest.
-fn noise_ratio_at([reference, output]: [Vec<Pose>; 2]) -> Option<NoiseRatio> {
-    let sd = |rests: &[Pose]| median(rests.iter().map(|rest| magnitude(rest.sd_mps2)));
-    NoiseRatio::new(sd(&output)?, sd(&reference)?)
-}
-
 fn quality(
     found: &Transfer,
     covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
@@ -344,11 +317,8 @@ impl fmt::Display for ReferenceReport {
             return write!(out, "{}", self.outcome);
         };
         let noise = |report: &AxisReport| match report.noise_from {
-            Some(NoiseSource::Rests) => "noise ratio from rests",
-            Some(NoiseSource::Neighbours) | None => "noise estimated from neighbouring samples",
-            Some(NoiseSource::Bounds) => {
-                "noise ratio unknown, ± covers all ratios: hold both still for a while"
-            }
+            Some("bounds") => "noise unknown, ± covers all on either side: move more slowly",
+            _ => "noise estimated from neighbouring samples",
         };
         let mut noises: Vec<(&str, Vec<&str>)> = Vec::new();
         for (axis, (name, report)) in AXES.into_iter().zip(axes).enumerate() {

@@ -170,8 +170,6 @@ pub struct Fit {
     pub condition: f64,
     /// Expected standard deviation of |f| − g in the worst orientation, mm/s².
     pub worst_sd_mm_s2: f64,
-    /// Fraction of the 26 orientations (sides, edges, corners) within 40° of a pose's, 0 to 1.
-    pub coverage: f64,
     /// Mean temperature of the poses, °C.
     pub temperature_c: Option<f64>,
     /// Lowest and highest temperature of the poses, °C: temperature terms are valid between them.
@@ -270,7 +268,6 @@ impl Fit {
             orientations: estimate.orientations,
             condition: estimate.condition,
             worst_sd_mm_s2: estimate.worst_sd_mps2 * 1e3,
-            coverage: estimate.coverage,
             temperature_c: estimate.temperature_c,
             temperature_range_c: estimate.temperature_range_c,
             drift: estimate.drift.map(|drift| DriftReport {
@@ -460,13 +457,12 @@ impl CalibrationReport {
         let at = worst.map_or(String::new(), |(pose, _)| format!(" at pose {pose} (from 0)"));
         writeln!(
             out,
-            "in sample {} mm/s² rms{all}, largest {}{at}; condition {:.1}, {} degrees of freedom, {:.0} % of the orientations \
-             covered; ± is 1 σ of this session",
+            "in sample {} mm/s² rms{all}, largest {}{at}; condition {:.1}, {} degrees of freedom; ± is 1 σ of this \
+             session",
             significant(fit.fitted_rms_mm_s2, 3),
             significant(fit.max_mm_s2, 3),
             fit.condition,
-            fit.dof,
-            fit.coverage * 100.0
+            fit.dof
         )?;
         if let Some(drift) = &fit.drift {
             let [x, y, z] = drift.change_m_s2.map(|axis| signed(axis * 1e3, 3));

@@ -89,7 +89,7 @@ pub fn update(
     };
     let correction = calibration.sensor().compile(data.info());
     let scale = correction.map_err(|error| error.at(data.name))?.mps2_per_unit();
-    let found = Poses::find(data, scale, gravity.mps2()).poses;
+    let found = Poses::find(data, scale).poses;
     let rest = |pose: &Pose| {
         let check = check.push(pose)?;
         Some(RestReport {

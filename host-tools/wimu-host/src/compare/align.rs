@@ -184,7 +184,7 @@ struct Pairs {
 impl Pairs {
     fn of(signals: &[Signal; 2], fit: &TimeFit) -> Self {
         // Either device may be the noisier one.
-        let [transfer, simpler] = [(); 2].map(|()| ReferenceTransfer::of_unknown_noise());
+        let [transfer, simpler] = [(); 2].map(|()| ReferenceTransfer::new());
         let mut pairs = Self {
             transfer,
             simpler,

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::io::Read;
 
-use wimu_calib::{NoiseRatio, ReferenceTransfer};
+use wimu_calib::ReferenceTransfer;
 use wimu_link::message::{Answer, Payload, Status};
 
 use super::arrival::{ArrivalUser, ByArrival};
@@ -74,8 +74,6 @@ pub(super) struct Counted {
 
 impl Counted {
     pub fn read<R: Read>(mut reader: RecordingReader<R>, overview: &Overview) -> Result<Self> {
-        // The same samples of one sensor: differences are errors of the wireless link alone.
-        let ratio = NoiseRatio::new(1.0, 1e-3).unwrap_or(NoiseRatio::EQUAL);
         let mut counted = Self {
             meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
             pairs: 0,
@@ -84,7 +82,7 @@ impl Counted {
             rates_differ: 0,
             saturated: 0,
             without_unit: 0,
-            transfer: ReferenceTransfer::new(ratio).of_one_sensor(),
+            transfer: ReferenceTransfer::new().of_one_sensor(),
             before: Differences::default(),
             lsb_mps2: 0.0,
             evolution: Vec::new(),

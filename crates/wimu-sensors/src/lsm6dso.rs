@@ -99,9 +99,11 @@ const fn rate(hz: u16, code: u8) -> Rate {
     Rate::new(hz, code, 150_000 << (10 - code), code <= 5)
 }
 
-/// ±2000 °/s, the widest, because a hand exceeds 1000 °/s, and a saturated rate ends the attitude. Its LSB, 70 m°/s, is as
-/// large as the noise at 208 Hz.
-static GYROSCOPE: GyroscopePlan = GyroscopePlan::new(0.07_f64.to_radians(), i16::MAX as i32);
+/// Nominal LSB of the gyroscope at ±2000 °/s, µ°/s (DS12140 §4.1, Table 2): as large as the noise at 208 Hz.
+const UDPS_PER_LSB: f64 = 70_000.0;
+/// ±2000 °/s, the widest, because a hand exceeds 1000 °/s, and a saturated rate ends the attitude.
+static GYROSCOPE: GyroscopePlan =
+    GyroscopePlan::new((UDPS_PER_LSB * 1e-6).to_radians(), i16::MAX as i32);
 
 /// An LSM6DS3TR-C, as on the Seeed XIAO nRF52840 Sense; otherwise as [`Lsm6dso`]. Its FIFO has no tags, so that a
 /// gyroscope that stops is not noticed.

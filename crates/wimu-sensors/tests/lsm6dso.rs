@@ -138,7 +138,7 @@ fn periods_and_sensitivities_are_those_of_the_datasheet() {
         let sensor = plan::<Chip>(104, g, High).sensor;
         assert_eq!(sensor.accelerometer.sensitivity().lsb_per_g(), 1e6 / ug_per_lsb);
         let rad_s_per_lsb = sensor.gyroscope.expect("it has one").rad_s_per_lsb();
-        assert_eq!(rad_s_per_lsb, 0.07_f64.to_radians());
+        assert!((rad_s_per_lsb.to_degrees() - 0.07).abs() < 1e-12);
     }
 }
 

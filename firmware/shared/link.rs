@@ -12,6 +12,9 @@ pub fn link(memory: &str, arguments: &[&str]) {
     for argument in arguments {
         println!("cargo::rustc-link-arg-bins={argument}");
     }
-    println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-changed=../shared/link.rs");
+    for file in ["build.rs", "memory.x", "../shared/board.rs", "../shared/link.rs"] {
+        if Path::new(file).exists() {
+            println!("cargo::rerun-if-changed={file}");
+        }
+    }
 }

@@ -374,93 +374,100 @@ pub fn requests(data: &[u8]) {
     }
 }
 
+/// Signed requests sent at most.
+const SENT: usize = 6;
+
+/// A device with a key on the wireless link, and two sessions of its owner.
+struct Signing {
+    lock: Lock,
+    responder: Responder,
+    sessions: [Option<(Session, u32)>; 2],
+    /// Bodies of the requests sent, and whether each was executed.
+    sent: Vec<(Vec<u8>, bool)>,
+}
+
+impl Signing {
+    /// Opening a session takes no signature.
+    fn open(&mut self, which: usize, number: u32) {
+        let (signature, command) = (Signature::NONE, Command::OpenSession);
+        let request = Request { session: number, id: 1, signature, command };
+        let body = body_of(&request);
+        let Decision::Send(frame) = self.responder.accept(&body, &self.lock) else { return };
+        let mut reply = None;
+        with_body(frame, |body| reply = Some(Reply::decode(body).expect("own reply")));
+        if let Some(Reply { answer: Answer::Accepted(Payload::Session { number, nonce }), .. }) =
+            reply
+            && let KeyState::Set(key) = self.lock.key
+        {
+            let (role, device_id) = (LinkRole::Wireless, self.lock.device_id);
+            let session = Session { key, role, device_id, number, nonce };
+            let id = self.sessions[which].map_or(u32::MAX - 1, |(_, id)| id);
+            self.sessions[which] = Some((session, id));
+        }
+    }
+
+    /// Signs the next request of a session, whose command tells its number.
+    fn sign(&mut self, which: usize) {
+        let Some((session, id)) = &mut self.sessions[which] else { return };
+        *id = id.wrapping_add(1);
+        let command = Command::SetLineRate { baud: self.sent.len() as u32 };
+        let signature = session.sign(*id, &command);
+        let request = Request { session: session.number, id: *id, signature, command };
+        self.sent.push((body_of(&request), false));
+    }
+
+    /// Sends a request with `flip` at one byte.
+    fn send(&mut self, chosen: usize, (at, flip): (usize, u8)) {
+        let (sent, executed) = &mut self.sent[chosen];
+        let mut body = sent.clone();
+        body[at] ^= flip;
+        let Decision::Execute(command) = self.responder.accept(&body, &self.lock) else { return };
+        if command.is_write() {
+            assert!(flip == 0, "an unsigned write was executed");
+            assert_eq!(command, Command::SetLineRate { baud: chosen as u32 });
+            assert!(!*executed, "a request had two effects");
+            *executed = true;
+        }
+        assert!(!self.responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]).is_empty());
+    }
+}
+
+fn body_of(request: &Request) -> Vec<u8> {
+    let mut line = [0; MAX_FRAME];
+    let length = request.encode(&mut line).expect("room");
+    let mut body = Vec::new();
+    with_body(&line[..length], |bytes| body.extend_from_slice(bytes));
+    body
+}
+
 /// Signed requests, damaged, repeated and reordered, mixed with other bytes: only intact signed writes
 /// are executed, each once.
 pub fn signed_requests(data: &[u8]) {
-    const SENT: usize = 6;
     let mut source = Source(data);
     let key = DeviceKey::new([source.byte(); 32]);
-    let lock = Lock { key: KeyState::Set(key), ..NO_KEY };
-    let mut responder = Responder::new(LinkRole::Wireless);
-    let mut sessions: [Option<Session>; 2] = [None; 2];
-    let mut ids = [u32::MAX - 1; 2];
-    let mut sent = [[0; MAX_FRAME]; SENT];
-    let mut lengths = [0; SENT];
-    let mut executed = [false; SENT];
-    let mut count = 0;
+    let mut device = Signing {
+        lock: Lock { key: KeyState::Set(key), ..NO_KEY },
+        responder: Responder::new(LinkRole::Wireless),
+        sessions: [None; 2],
+        sent: Vec::new(),
+    };
     while !source.0.is_empty() {
         let which = source.below(2);
-        let choice = source.byte() % 4;
-        if choice == 0 {
-            // Opening a session takes no signature.
-            let number = source.word();
-            let request = Request {
-                session: number,
-                id: 1,
-                signature: Signature::NONE,
-                command: Command::OpenSession,
-            };
-            let mut line = [0; MAX_FRAME];
-            let length = request.encode(&mut line).expect("room");
-            with_body(&line[..length], |body| {
-                if let Decision::Send(frame) = responder.accept(body, &lock) {
-                    with_body(frame, |body| {
-                        let reply = Reply::decode(body).expect("own reply");
-                        if let Answer::Accepted(Payload::Session { number, nonce }) = reply.answer {
-                            sessions[which] = Some(Session {
-                                key,
-                                role: LinkRole::Wireless,
-                                device_id: lock.device_id,
-                                number,
-                                nonce,
-                            });
-                        }
-                    });
-                }
-            });
-        } else if choice == 1
-            && count < SENT
-            && let Some(session) = sessions[which]
-        {
-            ids[which] = ids[which].wrapping_add(1);
-            let command = Command::SetLineRate { baud: count as u32 };
-            let request = Request {
-                session: session.number,
-                id: ids[which],
-                signature: session.sign(ids[which], &command),
-                command,
-            };
-            lengths[count] = request.encode(&mut sent[count]).expect("room");
-            count += 1;
-        } else if count > 0 {
-            let chosen = source.below(count);
-            let mut body_of = [0; MAX_BODY];
-            let mut length = 0;
-            with_body(&sent[chosen][..lengths[chosen]], |body| {
-                length = body.len();
-                body_of[..length].copy_from_slice(body);
-            });
-            let mut whole = true;
-            if choice == 2 {
-                let at = source.below(length);
-                let flip = source.byte();
-                body_of[at] ^= flip;
-                whole = flip == 0;
+        match source.byte() % 4 {
+            0 => device.open(which, source.word()),
+            1 if device.sent.len() < SENT && device.sessions[which].is_some() => device.sign(which),
+            choice if !device.sent.is_empty() => {
+                let chosen = source.below(device.sent.len());
+                let length = device.sent[chosen].0.len();
+                let change = (choice == 2).then(|| (source.below(length), source.byte()));
+                device.send(chosen, change.unwrap_or((0, 0)));
             }
-            if let Decision::Execute(command) = responder.accept(&body_of[..length], &lock) {
-                if command.is_write() {
-                    assert!(whole, "an unsigned write was executed");
-                    assert_eq!(command, Command::SetLineRate { baud: chosen as u32 });
-                    assert!(!executed[chosen], "a request had two effects");
-                    executed[chosen] = true;
+            _ => {
+                let garbage = source.slice();
+                if let Decision::Execute(command) = device.responder.accept(garbage, &device.lock) {
+                    assert!(!command.is_write(), "an unsigned write was executed");
+                    device.responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]);
                 }
-                assert!(!responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]).is_empty());
-            }
-        } else {
-            let garbage = source.slice();
-            if let Decision::Execute(command) = responder.accept(garbage, &lock) {
-                assert!(!command.is_write(), "an unsigned write was executed");
-                responder.reply(&UNKNOWN, &mut [0; MAX_FRAME]);
             }
         }
     }

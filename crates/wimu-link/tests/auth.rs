@@ -138,188 +138,233 @@ fn random_key(random: &mut Random) -> DeviceKey {
     DeviceKey::new(bytes)
 }
 
+/// A device, its owner's hosts, and an attacker who overhears all of them.
+struct Contest {
+    source: Random,
+    key: DeviceKey,
+    others_key: DeviceKey,
+    device: Device,
+    /// The owner's host on each link, and a second one on the wireless link.
+    owners: [Owner; 3],
+    /// What was tried, by kind.
+    tried: BTreeMap<&'static str, u64>,
+    /// What the attacker has overheard on each link, in this start and before.
+    heard: Vec<(LinkRole, Vec<u8>)>,
+    /// What the owner has written.
+    wanted: Vec<Command>,
+}
+
+impl Contest {
+    fn new(seed: u64) -> Self {
+        let mut source = Random::new(seed);
+        let (key, others_key) = (random_key(&mut source), random_key(&mut source));
+        let roles = [LinkRole::Cable, LinkRole::Wireless, LinkRole::Wireless];
+        let owners = roles.map(|role| Owner::new(role, key, source.bits() as u32));
+        let device = Device::new(locked_by(key));
+        let (tried, heard, wanted) = Default::default();
+        let mut contest = Self { source, key, others_key, device, owners, tried, heard, wanted };
+        contest.open_all();
+        contest
+    }
+
+    fn open_all(&mut self) {
+        for owner in &mut self.owners {
+            owner.open(&mut self.device);
+        }
+    }
+
+    fn role(&mut self) -> LinkRole {
+        ROLES[self.source.below(2)]
+    }
+
+    fn attack(&mut self, kind: &'static str, role: LinkRole, body: &[u8]) {
+        self.device.hear(role, body);
+        *self.tried.entry(kind).or_default() += 1;
+    }
+
+    /// Sends one hostile request.
+    fn hostile(&mut self) {
+        let role = self.role();
+        let choice = self.source.below(10);
+        let (kind, body) = match choice {
+            0..5 if !self.heard.is_empty() => self.altered(choice),
+            _ => self.made(choice, role),
+        };
+        self.attack(kind, role, &body);
+    }
+
+    /// An overheard request, as it was or altered.
+    fn altered(&mut self, choice: usize) -> (&'static str, Vec<u8>) {
+        let source = &mut self.source;
+        let (of, mut body) = self.heard[source.below(self.heard.len())].clone();
+        match choice {
+            0 => ("replayed", body),
+            1 => {
+                let bit = source.below(8 * body.len());
+                body[bit / 8] ^= 1 << (bit % 8);
+                ("with a bit flipped", body)
+            }
+            2 => {
+                body.truncate(source.below(body.len()));
+                ("truncated", body)
+            }
+            3 => {
+                let other = ROLES[usize::from(of == LinkRole::Cable)];
+                assert!(self.device.hear(other, &body).is_none_or(|reply| refused(&reply)));
+                ("cross-link", body)
+            }
+            _ => {
+                // Another command or id under a signature that is right for what it was with.
+                let mut request = Request::decode(&body).expect("overheard whole");
+                if source.below(2) == 0 {
+                    request.command = rate(60_000);
+                } else {
+                    request.id = request.id.wrapping_add(1 + source.below(9) as u32);
+                }
+                ("with content exchanged", encoded(&request))
+            }
+        }
+    }
+
+    /// A request that the attacker has made, or the owner for something else.
+    fn made(&mut self, choice: usize, role: LinkRole) -> (&'static str, Vec<u8>) {
+        let source = &mut self.source;
+        let command = rate(60_000);
+        match choice {
+            5 => {
+                // Signed by the owner for another of his devices.
+                let mut other = Device::new(Lock { device_id: 0x9999, ..locked_by(self.key) });
+                let mut owner = Owner::new(role, self.key, source.bits() as u32);
+                owner.open(&mut other);
+                ("cross-device", owner.request(command))
+            }
+            6 => {
+                let session = Session {
+                    key: self.others_key,
+                    role,
+                    device_id: self.device.lock.device_id,
+                    number: source.below(8) as u32,
+                    nonce: [source.bits() as u8; 16],
+                };
+                let id = source.bits() as u32;
+                let (session, signature) = (session.number, session.sign(id, &command));
+                ("of another key", encoded(&Request { session, id, signature, command }))
+            }
+            7 => {
+                let (session, signature) = (source.bits() as u32, Signature::NONE);
+                let command = Command::OpenSession;
+                let request = Request { session, id: 1, signature, command };
+                ("sessions opened without a key", encoded(&request))
+            }
+            8 => {
+                // The owner's next write, held back, with some of its signature only.
+                let owner = &mut self.owners[source.below(3)];
+                let cut = with_signature_cut(&owner.request(command), source.below(8));
+                self.device.hear(owner.role, &cut);
+                ("with the signature cut short", cut)
+            }
+            _ => ("forged", self.forged()),
+        }
+    }
+
+    fn forged(&mut self) -> Vec<u8> {
+        let source = &mut self.source;
+        let request = Request {
+            session: source.below(12) as u32,
+            id: source.bits() as u32,
+            signature: match source.below(3) {
+                0 => Signature::NONE,
+                1 => Signature::new(&source.bits().to_le_bytes()[..4]).expect("short"),
+                _ => Signature::new(&source.bits().to_le_bytes()).expect("whole"),
+            },
+            command: match source.below(4) {
+                0 => Command::FactoryReset,
+                1 => Command::SetKey(self.others_key),
+                2 => Command::ForgetKey,
+                _ => rate(60_000),
+            },
+        };
+        encoded(&request)
+    }
+
+    /// Sends what was held back until its session had ended.
+    fn send_late(&mut self) {
+        let role = self.role();
+        let held = held_back_until_others_came(&mut self.device, role, self.key, &mut self.source);
+        for late in held {
+            self.attack("of sessions pushed out", role, &late);
+        }
+        assert_eq!(self.device.writes, self.wanted, "a write of an ended session passed");
+    }
+
+    /// The owner gets through, from two hosts on one link and one on the other.
+    fn owner_writes(&mut self, value: u16) {
+        let which = self.source.below(3);
+        self.write(which, value);
+        // Overheard, with its number and signature.
+        let owner = &mut self.owners[which];
+        let (role, next) = (owner.role, owner.request(rate(60_001)));
+        if self.source.below(4) == 0 {
+            // Held back by the attacker, and let through when a later one has passed.
+            self.write(which, value);
+            self.attack("reordered", role, &next);
+        } else {
+            self.device.hear(role, &next);
+            self.wanted.push(rate(60_001));
+        }
+        assert_eq!(self.device.writes, self.wanted);
+        self.heard.push((role, next));
+        if self.heard.len() > 400 {
+            self.heard.swap_remove(self.source.below(400));
+        }
+    }
+
+    fn write(&mut self, which: usize, value: u16) {
+        let answer = self.owners[which].write(&mut self.device, rate(value));
+        assert_eq!(answer, Answer::Accepted(Payload::None));
+        self.wanted.push(rate(value));
+        assert_eq!(self.device.writes, self.wanted);
+    }
+
+    /// After a restart everything overheard is of an old start, and of sessions that have ended.
+    fn restart(&mut self) {
+        self.device.restart();
+        let heard = self.heard.clone();
+        for (role, body) in &heard {
+            self.attack("cross-boot", *role, body);
+        }
+        self.open_all();
+        for (role, body) in &heard {
+            self.attack("old-session", *role, body);
+        }
+        assert_eq!(self.device.writes, self.wanted, "a write of an old session passed");
+    }
+}
+
 /// Attacks on one device while its owner writes on both links; what was tried, by kind. Panics when
 /// a write passes that the owner did not ask for, when one passes twice, or when the owner's do not.
 fn attack(seed: u64, rounds: usize) -> BTreeMap<&'static str, u64> {
     const HOSTILE_PER_ROUND: usize = 60;
-    let mut source = Random::new(seed);
-    let (key, others_key) = (random_key(&mut source), random_key(&mut source));
-    let mut device = Device::new(locked_by(key));
-    // Same key, another device; and one that has another key.
-    let twin = Lock { device_id: 0x9999, ..locked_by(key) };
-    let mut owners = ROLES.map(|role| Owner::new(role, key, source.bits() as u32));
-    let mut second = Owner::new(LinkRole::Wireless, key, source.bits() as u32);
-    let mut tried: BTreeMap<&'static str, u64> = BTreeMap::new();
-    // What the attacker has overheard on each link, in this start and before.
-    let mut heard: Vec<(LinkRole, Vec<u8>)> = Vec::new();
-    let mut wanted = Vec::new();
-    let mut value = 0;
-    for owner in owners.iter_mut().chain([&mut second]) {
-        owner.open(&mut device);
-    }
+    let mut contest = Contest::new(seed);
     for round in 0..rounds {
-        let before = device.writes.len();
+        let before = contest.device.writes.len();
         for _ in 0..HOSTILE_PER_ROUND {
-            let role = ROLES[source.below(2)];
-            let overheard = (!heard.is_empty()).then(|| heard[source.below(heard.len())].clone());
-            let (kind, body) = match (source.below(10), overheard) {
-                (0, Some((_, body))) => ("replayed", body),
-                (1, Some((_, mut body))) => {
-                    let bit = source.below(8 * body.len());
-                    body[bit / 8] ^= 1 << (bit % 8);
-                    ("with a bit flipped", body)
-                }
-                (2, Some((_, body))) => {
-                    let keep = source.below(body.len());
-                    ("truncated", body[..keep].to_vec())
-                }
-                (3, Some((of, body))) => {
-                    let other = ROLES[usize::from(of == LinkRole::Cable)];
-                    assert!(device.hear(other, &body).is_none_or(|reply| refused(&reply)));
-                    ("cross-link", body)
-                }
-                (4, _) => {
-                    // Signed by the owner for another of his devices.
-                    let mut other = Device::new(twin);
-                    let mut owner = Owner::new(role, key, source.bits() as u32);
-                    owner.open(&mut other);
-                    ("cross-device", owner.request(rate(60_000)))
-                }
-                (5, _) => {
-                    let session = Session {
-                        key: others_key,
-                        role,
-                        device_id: device.lock.device_id,
-                        number: source.below(8) as u32,
-                        nonce: [source.bits() as u8; 16],
-                    };
-                    let id = source.bits() as u32;
-                    let command = rate(60_000);
-                    let request = Request {
-                        session: session.number,
-                        id,
-                        signature: session.sign(id, &command),
-                        command,
-                    };
-                    ("of another key", encoded(&request))
-                }
-                (6, Some((_, body))) => {
-                    // Another command or id under a signature that is right for what it was with.
-                    let mut request = Request::decode(&body).expect("overheard whole");
-                    if source.below(2) == 0 {
-                        request.command = rate(60_000);
-                    } else {
-                        request.id = request.id.wrapping_add(1 + source.below(9) as u32);
-                    }
-                    ("with content exchanged", encoded(&request))
-                }
-                (7, _) => {
-                    let request = Request {
-                        session: source.bits() as u32,
-                        id: 1,
-                        signature: Signature::NONE,
-                        command: Command::OpenSession,
-                    };
-                    ("sessions opened without a key", encoded(&request))
-                }
-                (8, _) => {
-                    // The owner's next write, held back, with some of its signature only.
-                    let owner = match source.below(3) {
-                        2 => &mut second,
-                        link => &mut owners[link],
-                    };
-                    let cut = with_signature_cut(&owner.request(rate(60_000)), source.below(8));
-                    device.hear(owner.role, &cut);
-                    ("with the signature cut short", cut)
-                }
-                _ => {
-                    let request = Request {
-                        session: source.below(12) as u32,
-                        id: source.bits() as u32,
-                        signature: match source.below(3) {
-                            0 => Signature::NONE,
-                            1 => Signature::new(&source.bits().to_le_bytes()[..4]).expect("short"),
-                            _ => Signature::new(&source.bits().to_le_bytes()).expect("whole"),
-                        },
-                        command: match source.below(4) {
-                            0 => Command::FactoryReset,
-                            1 => Command::SetKey(others_key),
-                            2 => Command::ForgetKey,
-                            _ => rate(60_000),
-                        },
-                    };
-                    ("forged", encoded(&request))
-                }
-            };
-            device.hear(role, &body);
-            *tried.entry(kind).or_default() += 1;
+            contest.hostile();
         }
-        assert_eq!(device.writes.len(), before, "a write passed in round {round}");
-
+        assert_eq!(contest.device.writes.len(), before, "a write passed in round {round}");
         if round % 20 == 19 {
-            // Held back until the session has ended.
-            let role = ROLES[source.below(2)];
-            for late in held_back_until_others_came(&mut device, role, key, &mut source) {
-                device.hear(role, &late);
-                *tried.entry("of sessions pushed out").or_default() += 1;
-            }
-            assert_eq!(device.writes, wanted, "a write of an ended session passed");
+            contest.send_late();
         }
-
-        // The owner gets through, from two hosts on one link and one on the other.
-        value = value % 50_000 + 1;
-        let owner = match source.below(3) {
-            2 => &mut second,
-            link => &mut owners[link],
-        };
-        let command = rate(value);
-        let answer = owner.write(&mut device, command);
-        assert_eq!(answer, Answer::Accepted(Payload::None), "round {round}");
-        wanted.push(command);
-        assert_eq!(device.writes, wanted);
-        // Overheard: this one, with its number and signature.
-        let role = owner.role;
-        let next = owner.request(rate(60_001));
-        if source.below(4) == 0 {
-            // Held back by the attacker, and let through when later ones have passed.
-            let answer = owner.write(&mut device, rate(value));
-            assert_eq!(answer, Answer::Accepted(Payload::None));
-            wanted.push(rate(value));
-            device.hear(role, &next);
-            *tried.entry("reordered").or_default() += 1;
-            assert_eq!(device.writes, wanted);
-            heard.push((role, next));
-        } else {
-            device.hear(role, &next);
-            wanted.push(rate(60_001));
-            assert_eq!(device.writes, wanted);
-            heard.push((role, next));
-        }
-        if heard.len() > 400 {
-            heard.swap_remove(source.below(400));
-        }
+        contest.owner_writes((round % 50_000 + 1) as u16);
         if round % 50 == 49 {
-            // Everything overheard is of an old start now, and of sessions that have ended.
-            device.restart();
-            for (role, body) in &heard {
-                device.hear(*role, body);
-                *tried.entry("cross-boot").or_default() += 1;
-            }
-            for owner in owners.iter_mut().chain([&mut second]) {
-                owner.open(&mut device);
-            }
-            for (role, body) in &heard {
-                device.hear(*role, body);
-                *tried.entry("old-session").or_default() += 1;
-            }
-            assert_eq!(device.writes, wanted, "a write of an old session passed");
+            contest.restart();
         }
-        if wanted.len() > 1000 {
-            wanted.clear();
-            device.writes.clear();
+        if contest.wanted.len() > 1000 {
+            contest.wanted.clear();
+            contest.device.writes.clear();
         }
     }
-    tried
+    contest.tried
 }
 
 /// The same request with the first bytes of its signature alone.

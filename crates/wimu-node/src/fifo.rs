@@ -2,12 +2,10 @@
 
 use wimu_model::{DeviceTimeUs, PeriodNs};
 
-use crate::data_ready::DataReady;
 use crate::sensor::Batch;
-use crate::timer::Timer;
 
 /// Maximum watermark, samples, and at most half of the FIFO, so that the other half covers the latency of a read.
-pub(crate) const MAX_WATERMARK: u16 = 16;
+const MAX_WATERMARK: u16 = 16;
 /// Target duration of the samples at the watermark, ns; the watermark is limited to [`MAX_WATERMARK`]. It limits
 /// the latency of samples at low rates.
 const LATENCY_NS: u32 = 40_000_000;
@@ -19,10 +17,9 @@ const LATE_US: u64 = 20_000;
 
 /// Watermark and sample times of a sensor's FIFO.
 ///
-/// A driver sets the sensor's watermark to [`watermark`](Self::watermark), waits for the data-ready line with
-/// [`wait`](Self::wait), reads the level ([`FifoState`]) and the samples, and gets from [`read`](Self::read) the
-/// [`Batch`] with the time of the newest sample. If [`kept_up`](Self::kept_up) is false, it reads again: samples
-/// were overwritten meanwhile.
+/// [`FifoSensor`](crate::FifoSensor) sets the chip's watermark to [`watermark`](Self::watermark), waits for the data-ready
+/// line, reads the level ([`FifoState`]) and the samples, and gets from [`read`](Self::read) the [`Batch`] with the time of
+/// the newest sample. If [`kept_up`](Self::kept_up) is false, it reads again: samples were overwritten meanwhile.
 #[derive(Debug)]
 pub struct SensorFifo {
     period: PeriodNs,
@@ -84,6 +81,11 @@ impl SensorFifo {
         }
     }
 
+    /// Time of the newest sample read; `None` before the first.
+    pub fn last(&self) -> Option<DeviceTimeUs> {
+        self.last
+    }
+
     /// The watermark, samples: those of 40 ms, 1..=16, and at most half of the FIFO.
     pub fn watermark(&self) -> u16 {
         self.watermark
@@ -92,14 +94,6 @@ impl SensorFifo {
     /// Duration of `count` sample periods, µs.
     pub fn micros(&self, count: u16) -> u64 {
         u64::from(count) * u64::from(self.period.0) / 1000
-    }
-
-    /// Waits for the edge of `line` at the watermark; returns its time, or that of the wake-up without a captured
-    /// edge or after the [`deadline`](Self::deadline).
-    pub async fn wait(&self, timer: &impl Timer, line: &mut impl DataReady) -> DeviceTimeUs {
-        let deadline = self.deadline(timer.now());
-        let edge = timer.before(deadline, line.ready()).await.flatten();
-        edge.unwrap_or_else(|| timer.now())
     }
 
     /// The time at which the line must have risen.

@@ -4,7 +4,7 @@ use core::fmt;
 
 use embedded_hal_async::i2c::{self, ErrorKind, NoAcknowledgeSource};
 use wimu_link::hello::{Capabilities, Part};
-use wimu_link::message::{Resolution, Settings};
+use wimu_link::message::Settings;
 use wimu_model::{
     CentiCelsius, Corrector, DeviceTimeUs, GyroscopeCorrector, MagneticFieldNt, PeriodNs,
     Sensitivity,
@@ -250,45 +250,6 @@ impl<F: Fn(&Settings) -> Result<Plan, Settings>> Planner for F {
     }
 }
 
-/// Ranges, ± g, and rates, Hz, of a sensor, each with the driver's value for it.
-pub(crate) struct Supported<A: 'static, R: 'static> {
-    pub(crate) ranges: &'static [(u8, A)],
-    pub(crate) rates: &'static [(u16, R)],
-    /// Whether a rate is available with low power.
-    pub(crate) has_low_power: fn(R) -> bool,
-}
-
-impl<A: Copy, R: Copy> Supported<A, R> {
-    /// The supported settings nearest to `wanted`, with the driver's values for range and rate.
-    pub(crate) fn nearest(&self, wanted: &Settings) -> Option<(Settings, A, R)> {
-        let low_power = wanted.resolution == Resolution::LowPower;
-        let rates = self.rates.iter();
-        let rates = rates.filter(|(_, rate)| !low_power || (self.has_low_power)(*rate));
-        let &(rate_hz, rate) = rates.min_by_key(|(hz, _)| hz.abs_diff(wanted.rate_hz))?;
-        let ranges = self.ranges.iter();
-        let &(range_g, range) = ranges.min_by_key(|(g, _)| g.abs_diff(wanted.range_g))?;
-        let settings = Settings { range_g, rate_hz, ..*wanted };
-        Some((settings, range, rate))
-    }
-
-    /// The plan for `wanted`, with the sensor's properties from `sensor`.
-    ///
-    /// # Errors
-    /// The nearest supported settings.
-    pub(crate) fn plan(
-        &self,
-        wanted: &Settings,
-        sensor: impl Fn(A, R) -> SensorPlan,
-    ) -> Result<Plan, Settings> {
-        let (settings, range, rate) = self.nearest(wanted).ok_or(*wanted)?;
-        if settings == *wanted {
-            Ok(Plan::new(settings, sensor(range, rate)))
-        } else {
-            Err(settings)
-        }
-    }
-}
-
 /// A failure of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -342,15 +303,6 @@ impl SensorFault {
                 NoAcknowledgeSource::Address | NoAcknowledgeSource::Unknown,
             ) => Self::NotAnswering,
             _ => Self::Transfer,
-        }
-    }
-    /// The fault that an error of a register-based driver means.
-    pub fn of_driver<E>(error: wimu_registers::Error<E>) -> Self {
-        use wimu_registers::Error;
-        match error {
-            Error::NotAnswering => Self::NotAnswering,
-            Error::Bus(_) | Error::ResetTimeout => Self::Transfer,
-            Error::WrongIdentity { expected, found } => Self::WrongIdentity { expected, found },
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Clock of a node.
 
 use embassy_futures::select::{Either, select};
-use embedded_hal_async::delay::DelayNs;
 use wimu_model::DeviceTimeUs;
 
 /// The device's clock.
@@ -24,14 +23,5 @@ pub trait Timer: Clone {
             Either::First(output) => Some(output),
             Either::Second(()) => None,
         }
-    }
-}
-
-/// A delay on the device's clock.
-pub(crate) struct Delay<'a, T>(pub(crate) &'a T);
-
-impl<T: Timer> DelayNs for Delay<'_, T> {
-    async fn delay_ns(&mut self, ns: u32) {
-        self.0.after_us(ns.div_ceil(1000).into()).await;
     }
 }

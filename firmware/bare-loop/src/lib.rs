@@ -2,6 +2,10 @@
 
 #![no_std]
 
+/// The memory routines of the boards.
+#[path = "../../shared/src/memory.rs"]
+mod memory;
+
 use core::panic::PanicInfo;
 
 /// Does nothing from now on.

@@ -29,8 +29,8 @@ use esp_storage::FlashStorage;
 use static_cell::StaticCell;
 use wimu_embassy::{BlockingFlash, BoardTimer, PacketLink, PacketReader, PacketWriter, Start};
 use wimu_link::hello::{Capabilities, Part, board};
-use wimu_node::wimu_mpu6050::{Address, I2cBus};
-use wimu_node::{Board, FlashLayout, FlashStore, Mpu6050, TimeoutBus};
+use wimu_node::{Board, FifoSensor, FlashLayout, FlashStore, TimeoutBus};
+use wimu_sensors::{I2cBus, Mpu6050};
 
 use crate::bus::Bus;
 use crate::edge_time::Line;
@@ -38,7 +38,8 @@ use crate::edge_time::Line;
 // What the bootloader wants to know.
 esp_bootloader_esp_idf::esp_app_desc!();
 
-type Sensor = Mpu6050<I2cBus<TimeoutBus<Bus, BoardTimer>>, Line<Input<'static>>, BoardTimer>;
+type Chip = Mpu6050<I2cBus<TimeoutBus<Bus, BoardTimer>>>;
+type Sensor = FifoSensor<Chip, Line<Input<'static>>, BoardTimer>;
 type StoreFlash = BlockingFlash<FlashStorage<'static>>;
 type Watchdog = Wdt<TIMG0<'static>>;
 
@@ -100,7 +101,11 @@ fn start(spawner: Spawner, chip: Peripherals, begun: Start) {
             Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::ESP32C3, "ESP32-C3"),
         ),
-        sensor: Sensor::new(I2cBus { i2c, address: Address::Low }, Line(line), BoardTimer),
+        sensor: Sensor::new(
+            Chip::new(I2cBus { i2c, address: Chip::ADDRESS }),
+            Line(line),
+            BoardTimer,
+        ),
         timer: BoardTimer,
         store: FlashStore::new(BlockingFlash(FlashStorage::new(chip.FLASH)), LAYOUT, PAUSE_MS),
         entropy,

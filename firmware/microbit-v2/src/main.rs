@@ -31,8 +31,9 @@ use embassy_time::Duration;
 use defmt_rtt as _;
 use static_cell::StaticCell;
 use wimu_link::hello::{Capabilities, Part, board};
-use wimu_node::{Axis, Board, FlashLayout, FlashStore, LINKS, Lsm303agr, Mounting};
+use wimu_node::{Axis, Board, FifoSensor, FlashLayout, FlashStore, LINKS, Mounting};
 use wimu_nrf::{BoardTimer, Line, SensorBus};
+use wimu_sensors::Lsm303agr;
 
 use crate::display::Matrix;
 use crate::flash::StoreFlash;
@@ -44,7 +45,7 @@ bind_interrupts!(struct Interrupts {
     UARTE1 => buffered_uarte::InterruptHandler<UARTE1>;
 });
 
-type Sensor = Lsm303agr<SensorBus, Line, BoardTimer>;
+type Sensor = FifoSensor<Lsm303agr<SensorBus>, Line, BoardTimer>;
 
 wimu_cortex_m::board! {
     start: start,
@@ -111,7 +112,7 @@ fn start(spawner: Spawner) {
             Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::MICROBIT_V2, "micro:bit v2"),
         ),
-        sensor: Sensor::new(i2c, line, BoardTimer).mounted(MOUNTING),
+        sensor: Sensor::new(Lsm303agr::new(i2c).mounted(MOUNTING), line, BoardTimer),
         timer: BoardTimer,
         store,
         entropy,

@@ -25,7 +25,8 @@ use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_embassy::BoardTimer;
 use wimu_link::hello::{Capabilities, Part, board};
-use wimu_node::{Board, FlashStore, TimeoutBus};
+use wimu_node::{Board, FifoSensor, FlashStore, TimeoutBus};
+use wimu_sensors::I2cBus;
 
 use crate::chip::StoreFlash;
 use crate::edge_time::Line;
@@ -40,12 +41,12 @@ bind_interrupts!(struct Interrupts {
     USBCTRL_IRQ => embassy_rp::usb::InterruptHandler<USB>;
 });
 
-type I2cBus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
+type Bus = TimeoutBus<I2c<'static, I2C0, i2c::Async>, BoardTimer>;
 #[cfg(feature = "adxl345")]
-use wimu_node::{Adxl345 as Driver, wimu_adxl345::Address, wimu_adxl345::I2cBus as Bus};
+type Chip = wimu_sensors::Adxl345<I2cBus<Bus>>;
 #[cfg(not(feature = "adxl345"))]
-use wimu_node::{Mpu6050 as Driver, wimu_mpu6050::Address, wimu_mpu6050::I2cBus as Bus};
-type Sensor = Driver<Bus<I2cBus>, Line<Input<'static>>, BoardTimer>;
+type Chip = wimu_sensors::Mpu6050<I2cBus<Bus>>;
+type Sensor = FifoSensor<Chip, Line<Input<'static>>, BoardTimer>;
 
 wimu_cortex_m::board! {
     start: start,
@@ -122,7 +123,7 @@ fn start(spawner: Spawner) {
             Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::PICO, if cfg!(feature = "pico2") { "Pico 2" } else { "Pico" }),
         ),
-        sensor: Sensor::new(Bus { i2c, address: Address::Low }, line, BoardTimer),
+        sensor: Sensor::new(Chip::new(I2cBus { i2c, address: Chip::ADDRESS }), line, BoardTimer),
         timer: BoardTimer,
         store,
         entropy,

@@ -1,14 +1,13 @@
-//! The device's clock: the machine's timers, or in lockstep the sensor bridge.
+//! The device's clock, embassy's time driver: the machine's timers, or in lockstep the sensor bridge.
 
 use core::cell::RefCell;
-use core::future::Future;
-use core::pin::Pin;
 use core::sync::atomic::{AtomicBool, Ordering};
-use core::task::{Context, Poll, Waker};
+use core::task::Waker;
 
 use critical_section::Mutex;
-use wimu_model::DeviceTimeUs;
-use wimu_node::Timer;
+use embassy_time_driver::{Driver, time_driver_impl};
+use embassy_time_queue_utils::Queue;
+pub use wimu_embassy::BoardTimer;
 
 use crate::register::Register;
 
@@ -25,27 +24,38 @@ const CTRL_ENABLE: u32 = 1;
 const CTRL_INTERRUPT: u32 = 1 << 3;
 
 const TICKS_PER_US: u64 = 25;
-/// Most simultaneous deadlines: more than the node's tasks need.
-const SLOTS: usize = 12;
 
 static LOCKSTEP: AtomicBool = AtomicBool::new(false);
 
-static CLOCK: Mutex<RefCell<Clock>> =
-    Mutex::new(RefCell::new(Clock { wraps: 0, lockstep_us: 0, slots: [const { None }; SLOTS] }));
+time_driver_impl!(static CLOCK: Clock = Clock(Mutex::new(RefCell::new(State {
+    wraps: 0,
+    lockstep_us: 0,
+    queue: Queue::new(),
+}))));
 
-struct Clock {
+struct Clock(Mutex<RefCell<State>>);
+
+struct State {
     /// Wraps of the counter.
     wraps: u32,
     /// Time in lockstep.
     lockstep_us: u64,
     /// Tasks waiting for a deadline.
-    slots: [Option<Slot>; SLOTS],
+    queue: Queue,
 }
 
-struct Slot {
-    deadline: u64,
-    /// None once it has been woken.
-    waker: Option<Waker>,
+impl Driver for Clock {
+    fn now(&self) -> u64 {
+        with(|clock| clock.now_us())
+    }
+
+    fn schedule_wake(&self, at: u64, waker: &Waker) {
+        with(|clock| {
+            if clock.queue.schedule_wake(at, waker) {
+                clock.wake_due();
+            }
+        });
+    }
 }
 
 fn register(base: usize, offset: usize) -> Register {
@@ -70,7 +80,8 @@ pub fn is_lockstep() -> bool {
 
 /// The earliest deadline of a waiting task, µs.
 pub fn next_deadline() -> Option<u64> {
-    with(|clock| clock.next_deadline())
+    let deadline = with(State::wake_due);
+    (deadline < u64::MAX).then_some(deadline)
 }
 
 /// Sets the time in lockstep, µs.
@@ -92,18 +103,16 @@ pub fn on_wrap() {
 /// The alarm's interrupt.
 pub fn on_alarm() {
     with(|clock| {
-        register(ALARM, CTRL).write(0);
         register(ALARM, INTERRUPT).write(1);
         clock.wake_due();
-        clock.set_alarm();
     });
 }
 
-fn with<R>(f: impl FnOnce(&mut Clock) -> R) -> R {
-    critical_section::with(|cs| f(&mut CLOCK.borrow_ref_mut(cs)))
+fn with<R>(f: impl FnOnce(&mut State) -> R) -> R {
+    critical_section::with(|cs| f(&mut CLOCK.0.borrow_ref_mut(cs)))
 }
 
-impl Clock {
+impl State {
     fn now_us(&self) -> u64 {
         if is_lockstep() {
             return self.lockstep_us;
@@ -115,89 +124,22 @@ impl Clock {
         (wraps << 32 | u64::from(!left)) / TICKS_PER_US
     }
 
-    fn next_deadline(&self) -> Option<u64> {
-        let waiting = |slot: &&Slot| slot.waker.is_some();
-        let slots = self.slots.iter().flatten().filter(waiting);
-        slots.map(|slot| slot.deadline).min()
-    }
-
-    fn wake_due(&mut self) {
+    /// Wakes the tasks that are due, and sets the alarm for the next deadline, µs, which it returns.
+    fn wake_due(&mut self) -> u64 {
         let now = self.now_us();
-        for slot in self.slots.iter_mut().flatten() {
-            if slot.deadline <= now
-                && let Some(waker) = slot.waker.take()
-            {
-                waker.wake();
-            }
-        }
-    }
-
-    fn set_alarm(&self) {
+        let deadline = self.queue.next_expiration(now);
         if is_lockstep() {
-            return;
+            return deadline;
         }
         register(ALARM, CTRL).write(0);
-        if let Some(deadline) = self.next_deadline() {
-            let ticks = deadline.saturating_sub(self.now_us()) * TICKS_PER_US;
+        if deadline < u64::MAX {
             // A deadline beyond the timer's range sets the alarm again.
+            let ticks = deadline.saturating_sub(now).saturating_mul(TICKS_PER_US);
             let ticks = u32::try_from(ticks).unwrap_or(u32::MAX).max(1);
             register(ALARM, RELOAD).write(ticks);
             register(ALARM, VALUE).write(ticks);
             register(ALARM, CTRL).write(CTRL_ENABLE | CTRL_INTERRUPT);
         }
-    }
-}
-
-/// The device's clock.
-#[derive(Clone, Copy)]
-pub struct BoardTimer;
-
-impl Timer for BoardTimer {
-    fn now(&self) -> DeviceTimeUs {
-        DeviceTimeUs(with(|clock| clock.now_us()))
-    }
-
-    async fn until(&self, moment: DeviceTimeUs) {
-        let until = Until { deadline: moment.0, slot: None };
-        until.await;
-    }
-}
-
-struct Until {
-    deadline: u64,
-    slot: Option<usize>,
-}
-
-impl Future for Until {
-    type Output = ();
-
-    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
-        with(|clock| {
-            if clock.now_us() >= self.deadline {
-                return Poll::Ready(());
-            }
-            let free = || clock.slots.iter().position(Option::is_none);
-            self.slot = self.slot.or_else(free);
-            match self.slot.and_then(|slot| clock.slots.get_mut(slot)) {
-                Some(slot) => {
-                    *slot = Some(Slot {
-                        deadline: self.deadline,
-                        waker: Some(context.waker().clone()),
-                    });
-                    clock.set_alarm();
-                }
-                // No free slot: poll again.
-                None => context.waker().wake_by_ref(),
-            }
-            Poll::Pending
-        })
-    }
-}
-
-impl Drop for Until {
-    fn drop(&mut self) {
-        if let Some(slot) = self.slot {
-            with(|clock| clock.slots[slot] = None);
-        }
+        deadline
     }
 }

@@ -16,16 +16,16 @@ mod store;
 mod uart;
 mod watchdog;
 
-use wimu_node::Lsm6dso;
-use wimu_node::wimu_lsm6dso::{Address, I2cBus};
+use wimu_node::FifoSensor;
+use wimu_sensors::{I2cBus, Lsm6dso};
 
 use crate::bridge::BridgeI2c;
 use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 
-type Sensor = Lsm6dso<I2cBus<BridgeI2c>, DataReady, BoardTimer>;
+type Chip = Lsm6dso<I2cBus<BridgeI2c>>;
+type Sensor = FifoSensor<Chip, DataReady, BoardTimer>;
 
 fn sensor(i2c: BridgeI2c, line: DataReady) -> Sensor {
-    let address = Address::Low;
-    Sensor::new(I2cBus { i2c, address }, line, BoardTimer)
+    Sensor::new(Chip::new(I2cBus { i2c, address: Chip::ADDRESS }), line, BoardTimer)
 }

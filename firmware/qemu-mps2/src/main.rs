@@ -22,14 +22,15 @@ mod store;
 mod uart;
 mod watchdog;
 
-use wimu_node::Lsm303agr;
+use wimu_node::FifoSensor;
+use wimu_sensors::Lsm303agr;
 
 use crate::bridge::BridgeI2c;
 use crate::clock::BoardTimer;
 use crate::data_ready::DataReady;
 
-type Sensor = Lsm303agr<BridgeI2c, DataReady, BoardTimer>;
+type Sensor = FifoSensor<Lsm303agr<BridgeI2c>, DataReady, BoardTimer>;
 
 fn sensor(i2c: BridgeI2c, line: DataReady) -> Sensor {
-    Sensor::new(i2c, line, BoardTimer)
+    Sensor::new(Lsm303agr::new(i2c), line, BoardTimer)
 }

@@ -4,7 +4,7 @@ use core::ops::Range;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embedded_storage::nor_flash::{
-    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 use wimu_node::{FlashLayout, PageFlash};
 
@@ -61,50 +61,18 @@ impl Flash {
         unsafe { (address as *mut u32).write_volatile(value) };
         cortex_m::asm::delay(SLOWNESS.load(Ordering::Relaxed));
     }
-
-    fn range(from: u32, length: usize) -> Result<Range<usize>, NorFlashErrorKind> {
-        let from = from as usize;
-        match from.checked_add(length) {
-            Some(end) if end <= RANGE.end as usize => Ok(BASE + from..BASE + end),
-            _ => Err(NorFlashErrorKind::OutOfBounds),
-        }
-    }
-}
-
-fn aligned(from: u32, length: usize, to: usize) -> Result<(), NorFlashErrorKind> {
-    if (from as usize).is_multiple_of(to) && length.is_multiple_of(to) {
-        Ok(())
-    } else {
-        Err(NorFlashErrorKind::NotAligned)
-    }
-}
-
-/// Why a flash operation was not done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FlashError(NorFlashErrorKind);
-
-impl From<NorFlashErrorKind> for FlashError {
-    fn from(kind: NorFlashErrorKind) -> Self {
-        Self(kind)
-    }
-}
-
-impl NorFlashError for FlashError {
-    fn kind(&self) -> NorFlashErrorKind {
-        self.0
-    }
 }
 
 impl ErrorType for Flash {
-    type Error = FlashError;
+    type Error = NorFlashErrorKind;
 }
 
 impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
-        let addresses = Self::range(offset, bytes.len())?;
-        for (place, address) in bytes.iter_mut().zip(addresses) {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        check_read(self, offset, bytes.len())?;
+        for (place, address) in bytes.iter_mut().zip(BASE + offset as usize..) {
             // SAFETY: the address is in the flash.
             *place = !unsafe { (address as *const u8).read_volatile() };
         }
@@ -120,20 +88,18 @@ impl NorFlash for Flash {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
-        let length = to.checked_sub(from).ok_or(NorFlashErrorKind::OutOfBounds)? as usize;
-        aligned(from, length, PAGE)?;
-        for address in Self::range(from, length)?.step_by(WORD) {
-            Self::put(address, 0);
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        check_erase(self, from, to)?;
+        for offset in (from as usize..to as usize).step_by(WORD) {
+            Self::put(BASE + offset, 0);
         }
         Ok(())
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
-        aligned(offset, bytes.len(), WORD)?;
-        let words = bytes.as_chunks::<WORD>().0;
-        let addresses = Self::range(offset, bytes.len())?.step_by(WORD);
-        for (word, address) in words.iter().zip(addresses) {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        check_write(self, offset, bytes.len())?;
+        let addresses = (BASE + offset as usize..).step_by(WORD);
+        for (word, address) in bytes.as_chunks::<WORD>().0.iter().zip(addresses) {
             // SAFETY: the aligned address is in the flash.
             let before = unsafe { (address as *const u32).read_volatile() };
             Self::put(address, before | !u32::from_le_bytes(*word));

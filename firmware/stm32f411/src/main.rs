@@ -27,8 +27,8 @@ use embassy_time::Duration;
 use static_cell::StaticCell;
 use wimu_embassy::{BlockingFlash, BoardTimer};
 use wimu_link::hello::{Capabilities, Part, board};
-use wimu_node::wimu_lsm6dso::{Address, I2cBus};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm6dso, TimeoutBus};
+use wimu_node::{Board, FifoSensor, FlashLayout, FlashStore, TimeoutBus};
+use wimu_sensors::{I2cBus, Lsm6dso};
 
 use crate::edge_time::Line;
 
@@ -42,8 +42,8 @@ bind_interrupts!(struct Interrupts {
     EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
 });
 
-type Bus = I2cBus<TimeoutBus<I2c<'static, Async, Master>, BoardTimer>>;
-type Sensor = Lsm6dso<Bus, Line<ExtiInput<'static, Async>>, BoardTimer>;
+type Chip = Lsm6dso<I2cBus<TimeoutBus<I2c<'static, Async, Master>, BoardTimer>>>;
+type Sensor = FifoSensor<Chip, Line<ExtiInput<'static, Async>>, BoardTimer>;
 /// The flash's sectors of 16 KiB.
 type StoreFlash = BlockingFlash<Bank1Region1<'static, Blocking>>;
 
@@ -83,7 +83,6 @@ fn start(spawner: Spawner) {
     let i2c =
         I2c::new(chip.I2C1, chip.PB6, chip.PB7, chip.DMA1_CH6, chip.DMA1_CH0, Interrupts, bus);
     let i2c = TimeoutBus::new(i2c, BoardTimer);
-    let address = Address::Low;
     let line = Line(ExtiInput::new(chip.PB0, chip.EXTI0, Pull::Down, Interrupts));
     // The default is 115,200 bits/s, 8N1.
     let uart = usart::Config::default;
@@ -105,7 +104,7 @@ fn start(spawner: Spawner) {
             Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::STM32F411, "STM32F411"),
         ),
-        sensor: Sensor::new(I2cBus { i2c, address }, line, BoardTimer),
+        sensor: Sensor::new(Chip::new(I2cBus { i2c, address: Chip::ADDRESS }), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(BlockingFlash(flash.bank1_region1), LAYOUT, PAUSE_MS),
         // The chip has no entropy source.

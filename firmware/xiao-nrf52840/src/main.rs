@@ -27,9 +27,9 @@ use embassy_time::Duration;
 use nrf_sdc::mpsl;
 use wimu_embassy::{PacketLink, PacketReader, PacketWriter};
 use wimu_link::hello::{Capabilities, Part, board};
-use wimu_node::wimu_lsm6dso::{Address, I2cBus};
-use wimu_node::{Board, FlashLayout, FlashStore, Lsm6ds3trC};
+use wimu_node::{Board, FifoSensor, FlashLayout, FlashStore};
 use wimu_nrf::{BoardTimer, Line, SensorBus};
+use wimu_sensors::{I2cBus, Lsm6ds3trC};
 
 use crate::flash::StoreFlash;
 
@@ -44,7 +44,8 @@ bind_interrupts!(struct Interrupts {
 });
 
 type UsbDriver = usb::Driver<'static, HardwareVbusDetect>;
-type Sensor = Lsm6ds3trC<I2cBus<SensorBus>, Line, BoardTimer>;
+type Chip = Lsm6ds3trC<I2cBus<SensorBus>>;
+type Sensor = FifoSensor<Chip, Line, BoardTimer>;
 
 wimu_cortex_m::board! {
     start: start,
@@ -110,7 +111,7 @@ fn start(spawner: Spawner) {
             Capabilities::DATA_READY.with(Capabilities::STORE),
             Part::new(board::XIAO_NRF52840, "XIAO nRF52840"),
         ),
-        sensor: Sensor::new(I2cBus { i2c, address: Address::Low }, line, BoardTimer),
+        sensor: Sensor::new(Chip::new(I2cBus { i2c, address: Chip::ADDRESS }), line, BoardTimer),
         timer: BoardTimer,
         store: FlashStore::new(StoreFlash::new(mpsl, chip.NVMC), LAYOUT, PAUSE_MS),
         entropy,

@@ -19,9 +19,10 @@ use wimu_link::{Hello, LinkRole};
 use wimu_model::DeviceTimeUs;
 use wimu_node::sensor::RawSample;
 use wimu_node::{
-    DataReady, InertialSensor, NearestRate, Pair, Polled, Shared, TimeoutBus, Timer, line_rate,
-    wimu_adxl345, wimu_lsm6dso, wimu_mpu6050,
+    DataReady, FifoSensor, InertialSensor, NearestRate, Pair, Polled, Shared, TimeoutBus, Timer,
+    line_rate,
 };
+use wimu_sensors::{Adxl345, I2cBus, Lsm6ds3trC, Lsm6dso, Lsm303agr, Mpu6050};
 
 use crate::clock::{Until, VirtualClock};
 use crate::faults::LinkFaults;
@@ -319,16 +320,11 @@ fn boot(
     let links = [(cable_reader, cable_writer), (wireless_reader, wireless_writer)];
     let bus = || TimeoutBus::new(i2c.clone(), timer.clone());
     let line = |device: &Sensor| Stamped { sensor: device.clone(), timer: timer.clone() };
-    let lsm303agr = |device: &Sensor| wimu_node::Lsm303agr::new(bus(), line(device), timer.clone());
-    let adxl345 = |device: &Sensor| {
-        let address = wimu_adxl345::Address::Low;
-        let bus = wimu_adxl345::I2cBus { i2c: bus(), address };
-        wimu_node::Adxl345::new(bus, line(device), timer.clone())
-    };
-    let lsm6dso_bus = || {
-        let address = wimu_lsm6dso::Address::Low;
-        wimu_lsm6dso::I2cBus { i2c: bus(), address }
-    };
+    let at = |address| I2cBus { i2c: bus(), address };
+    let lsm303agr =
+        |device: &Sensor| FifoSensor::new(Lsm303agr::new(bus()), line(device), timer.clone());
+    let adxl345 =
+        |device: &Sensor| FifoSensor::new(Adxl345::new(at(0x53)), line(device), timer.clone());
     let time = timer.clone();
     let node = match (config.sensor, second) {
         (SensorPart::Lsm303agr, Some((SensorPart::Adxl345, other))) => {
@@ -346,16 +342,15 @@ fn boot(
             node(hello, adxl345(device), time, storage, links, nearest_rate)
         }
         (SensorPart::Lsm6dso, _) => {
-            let sensor = wimu_node::Lsm6dso::<_, _, _>::new(lsm6dso_bus(), line(device), timer);
+            let sensor = FifoSensor::new(Lsm6dso::<_>::new(at(0x6A)), line(device), timer);
             node(hello, sensor, time, storage, links, nearest_rate)
         }
         (SensorPart::Lsm6ds3trC, _) => {
-            let sensor = wimu_node::Lsm6ds3trC::new(lsm6dso_bus(), line(device), timer);
+            let sensor = FifoSensor::new(Lsm6ds3trC::new(at(0x6A)), line(device), timer);
             node(hello, sensor, time, storage, links, nearest_rate)
         }
         (SensorPart::Mpu6050, _) => {
-            let bus = wimu_mpu6050::I2cBus { i2c: bus(), address: wimu_mpu6050::Address::Low };
-            let sensor = wimu_node::Mpu6050::new(bus, line(device), timer);
+            let sensor = FifoSensor::new(Mpu6050::new(at(0x68)), line(device), timer);
             node(hello, sensor, time, storage, links, nearest_rate)
         }
         (SensorPart::Icm42688, _) => {

@@ -147,6 +147,17 @@ impl embedded_hal_async::delay::DelayNs for VirtualClock {
     }
 }
 
+/// The clock of a device that was started at 0.
+impl wimu_node::Timer for VirtualClock {
+    fn now(&self) -> wimu_model::DeviceTimeUs {
+        wimu_model::DeviceTimeUs(VirtualClock::now(self))
+    }
+
+    async fn until(&self, moment: wimu_model::DeviceTimeUs) {
+        VirtualClock::until(self, moment.0).await;
+    }
+}
+
 /// A future waits for something that nothing can provide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the simulation stalled at {at_us} µs: everything waits and no timer is set")]

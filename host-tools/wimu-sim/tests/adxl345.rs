@@ -1,14 +1,13 @@
-//! The `wimu-adxl345` driver on the simulated sensor, in virtual time.
+//! The driver of the ADXL345 on the simulated sensor.
 
 use std::rc::Rc;
 
 use embedded_hal_async::i2c::I2c;
 use embedded_hal_async::spi::SpiDevice;
-use wimu_adxl345::{
-    Address, Adxl345, Bus, DataFormat, Error, Fifo, I2cBus, Interrupts, Justify, Range, Rate,
-    Resolution, Setup, SpiBus,
-};
+use wimu_link::message::Resolution::{High, Normal};
 use wimu_model::Counts;
+use wimu_node::sensor::SensorFault;
+use wimu_sensors::{Adxl345, I2cBus, SpiBus};
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{I2cError, SimI2c};
 use wimu_sim::scene::{Scene, World};
@@ -17,18 +16,18 @@ use wimu_sim::source::{Physics, Replay, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::SensorTruth;
 
-type Outcome = Result<(), Error<I2cError>>;
+use crate::fifo_bench::{OnClock, bus, driver, next, start};
+
+type OnI2c = OnClock<Adxl345<I2cBus<SimI2c>>>;
 
 /// Runs `use_it` with a driver on a bus with a sensor that takes its samples from `source`.
 fn on_bench(
     source: impl Source + 'static,
-    use_it: impl AsyncFnOnce(&VirtualClock, &Sensor, &mut Adxl345<I2cBus<SimI2c>>) -> Outcome,
+    use_it: impl AsyncFnOnce(&VirtualClock, &Sensor, &mut OnI2c) -> Result<(), SensorFault>,
 ) {
     let clock = VirtualClock::new();
     let sensor = Sensor::adxl345(&clock, source);
-    let i2c = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
-    let address = Address::Low;
-    let mut driver = Adxl345::new(I2cBus { i2c, address });
+    let mut driver = driver(&clock, &sensor, Adxl345::new(bus(&clock, &sensor, 0x53)));
     let outcome = clock.run(use_it(&clock, &sensor, &mut driver));
     outcome.expect("nothing stalls").expect("the bus works");
 }
@@ -42,46 +41,24 @@ fn numbered(count: i16) -> Replay {
     Replay::new((0..count).map(|k| Counts([k << 6, -(k << 6), 0])))
 }
 
-const SETUP: Setup = Setup {
-    format: DataFormat { range: Range::G2, resolution: Resolution::Full, justify: Justify::Left },
-    rate: Rate::Hz100,
-    low_power: false,
-    fifo: Fifo::Bypass,
-    interrupts: Interrupts::WATERMARK,
-    on_int2: Interrupts::NONE,
-};
-
-async fn start<B: Bus>(
-    driver: &mut Adxl345<B>,
-    rate: Rate,
-    fifo: Fifo,
-) -> Result<(), Error<B::Error>> {
-    driver.check_identity().await?;
-    driver.start(&Setup { rate, fifo, ..SETUP }).await
-}
-
-async fn number<B: Bus>(driver: &mut Adxl345<B>) -> Result<i16, Error<B::Error>> {
-    Ok(driver.sample().await?[0] >> 6)
+fn numbers(samples: &[Counts]) -> impl Iterator<Item = i16> {
+    samples.iter().map(|sample| sample.0[0] >> 6)
 }
 
 #[test]
 fn every_format_reads_one_g_upward() {
-    for range in [Range::G2, Range::G4, Range::G8, Range::G16] {
-        for resolution in [Resolution::TenBits, Resolution::Full] {
-            for justify in [Justify::Right, Justify::Left] {
-                let format = DataFormat { range, resolution, justify };
-                on_bench(at_rest(), async |clock, _, driver| {
-                    driver.start(&Setup { format, ..SETUP }).await?;
-                    clock.until(30_000).await;
-                    let [x, y, z] = driver.sample().await?;
-                    assert_eq!([x, y], [0, 0]);
-                    let g = f64::from(z) / f64::from(format.lsb_per_g());
-                    // Local gravity, to half a step.
-                    let step = f64::from(range as u8 + 1) * 0.04;
-                    assert!((g - 1.0).abs() < step, "{format:?}: {g} g");
-                    Ok(())
-                });
-            }
+    for range_g in [2, 4, 8, 16] {
+        for resolution in [Normal, High] {
+            on_bench(at_rest(), async |_, _, driver| {
+                let plan = start(driver, 100, range_g, resolution).await?;
+                let (_, samples) = next(driver).await?;
+                let [x, y, z] = samples[0].0;
+                assert_eq!([x, y], [0, 0]);
+                let g = f64::from(z) / plan.sensor.accelerometer.sensitivity().lsb_per_g();
+                // Local gravity, to half a step.
+                assert!((g - 1.0).abs() < 0.02 * f64::from(range_g), "±{range_g} g: {g} g");
+                Ok(())
+            });
         }
     }
 }
@@ -89,34 +66,34 @@ fn every_format_reads_one_g_upward() {
 #[test]
 fn the_fifo_gives_every_sample_once_and_int1_follows_the_watermark() {
     on_bench(numbered(500), async |clock, sensor, driver| {
-        start(driver, Rate::Hz400, Fifo::Stream { watermark: 8 }).await?;
-        let (mut expected, mut rose_us) = (0, 0);
+        start(driver, 400, 2, High).await?;
+        let mut expected = 0;
         for _ in 0..20 {
-            rose_us = sensor.ready().await;
-            assert_eq!(rose_us, clock.now(), "the line rises with the sample");
-            let waiting = driver.fifo_level().await?.samples;
-            assert!((8..=9).contains(&waiting), "{waiting}");
-            for _ in 0..waiting {
-                assert_eq!(number(driver).await?, expected);
+            let (batch, samples) = next(driver).await?;
+            assert!((16..=17).contains(&batch.count) && !batch.overrun, "{batch:?}");
+            for number in numbers(&samples) {
+                assert_eq!(number, expected);
                 expected += 1;
             }
             assert!(!sensor.is_ready(), "the line falls with the reading");
+            let taken_us = 1_100 + u64::from(expected.unsigned_abs()) * 2_500;
+            assert!(batch.last_time.0.abs_diff(taken_us) < 5_000, "{batch:?}");
+            assert!(clock.now() - batch.last_time.0 < 6_500);
         }
-        let period = (rose_us - 1_100) as f64 / f64::from(expected);
-        assert!((period - 2_500.0).abs() < 60.0, "{period} µs");
         Ok(())
     });
 }
 
 #[test]
-fn a_full_fifo_drops_the_oldest_and_says_so_until_data_are_read() {
+fn a_full_fifo_drops_the_oldest_and_says_so_once() {
     on_bench(numbered(500), async |clock, _, driver| {
-        start(driver, Rate::Hz400, Fifo::Stream { watermark: 16 }).await?;
+        start(driver, 400, 2, High).await?;
         clock.until(clock.now() + 1_100 + 2_500 * 41).await;
-        assert_eq!(driver.fifo_level().await?.samples, 32);
-        assert!(driver.interrupts().await?.contains(Interrupts::OVERRUN));
-        assert_eq!(number(driver).await?, 41 - 32);
-        assert!(!driver.interrupts().await?.contains(Interrupts::OVERRUN));
+        let (batch, samples) = next(driver).await?;
+        assert!(batch.overrun);
+        // The newest 32, of which the oldest may be overwritten while they are read.
+        assert!(matches!(numbers(&samples).next(), Some(9..=14)), "{samples:?}");
+        assert!(!next(driver).await?.0.overrun);
         Ok(())
     });
 }
@@ -146,7 +123,7 @@ fn the_oscillator_sets_the_rate() {
         let mut physics = at_rest();
         physics.truth.period_error_ppm = ppm;
         on_bench(physics, async |clock, sensor, driver| {
-            start(driver, Rate::Hz100, Fifo::Stream { watermark: 1 }).await?;
+            start(driver, 100, 2, High).await?;
             clock.until(clock.now() + 1_100 + 10_000_000).await;
             let expected = (1000.0 / (1.0 + ppm * 1e-6)) as u64;
             assert_eq!(sensor.samples_taken(), expected);
@@ -157,14 +134,13 @@ fn the_oscillator_sets_the_rate() {
 
 #[test]
 fn each_address_answers_alone() {
-    for (address, other) in [(Address::Low, Address::High), (Address::High, Address::Low)] {
+    for (address, other) in [(0x53, 0x1D), (0x1D, 0x53)] {
         let clock = VirtualClock::new();
-        let sensor = Sensor::adxl345_at(&clock, address as u8, at_rest());
-        for (asked, answer) in [(address, Ok(())), (other, Err(Error::NotAnswering))] {
-            let i2c = SimI2c::new(&clock, [Rc::new(sensor.clone()) as Rc<_>]);
-            let mut driver = Adxl345::new(I2cBus { i2c, address: asked });
-            let checked = clock.run(driver.check_identity());
-            assert_eq!(checked.expect("nothing stalls"), answer, "{asked:?}");
+        let sensor = Sensor::adxl345_at(&clock, address, at_rest());
+        for (asked, answer) in [(address, Ok(())), (other, Err(SensorFault::NotAnswering))] {
+            let mut driver = driver(&clock, &sensor, Adxl345::new(bus(&clock, &sensor, asked)));
+            let started = clock.run(start(&mut driver, 100, 2, High)).expect("nothing stalls");
+            assert_eq!(started.map(|_| ()), answer, "{asked:#x}");
         }
     }
 }
@@ -174,22 +150,22 @@ fn each_address_answers_alone() {
 fn on_spi_the_fifo_gives_every_sample_once() {
     let clock = VirtualClock::new();
     let sensor = Sensor::adxl345(&clock, numbered(500));
-    let mut driver = Adxl345::new(SpiBus(SimSpi::new(&clock, Rc::new(sensor.clone()), 5_000_000)));
+    let spi = SpiBus(SimSpi::new(&clock, Rc::new(sensor.clone()), 5_000_000));
+    let mut driver = driver(&clock, &sensor, Adxl345::new(spi));
     let outcome = clock.run(async {
-        start(&mut driver, Rate::Hz3200, Fifo::Stream { watermark: 16 }).await?;
+        start(&mut driver, 800, 2, High).await?;
         let mut expected = 0;
         for _ in 0..20 {
-            sensor.ready().await;
-            for _ in 0..driver.fifo_level().await?.samples {
-                // At this rate the lowest bit is 0.
-                assert_eq!(number(&mut driver).await?, expected & !1);
+            for number in numbers(&next(&mut driver).await?.1) {
+                assert_eq!(number, expected);
                 expected += 1;
             }
         }
         assert!(expected >= 320);
         sensor.set_present(false);
-        assert_eq!(driver.check_identity().await, Err(Error::NotAnswering));
-        Ok::<_, Error<_>>(())
+        let absent = start(&mut driver, 800, 2, High).await;
+        assert_eq!(absent, Err(SensorFault::NotAnswering));
+        Ok::<_, SensorFault>(())
     });
     outcome.expect("nothing stalls").expect("the bus works");
 }

@@ -5,6 +5,7 @@ mod clocks;
 mod compare;
 mod driver;
 mod faults;
+mod fifo_bench;
 mod live_ranges;
 mod long_files;
 mod lsm303agr_fifo;

@@ -1,14 +1,13 @@
-//! What the simulated LSM6DSO puts out, in virtual time. Its registers are tested in `wimu-lsm6dso`, a board with it in
+//! What the simulated LSM6DSO puts out, in virtual time. Its registers are tested in `wimu-sensors`, a board with it in
 //! `wimu-tests`.
 
 use std::rc::Rc;
 
 use embedded_hal_async::i2c::I2c;
-use wimu_lsm6dso::{
-    AccelerationRange, Address, AngularRateRange, Batch, Bus, Error, I2cBus, Lsm6dso, Power, Rate,
-    Sample, Setup, SpiBus,
-};
+use wimu_link::message::Resolution::High;
 use wimu_model::{Counts, STANDARD_GRAVITY_MPS2};
+use wimu_node::sensor::SensorFault;
+use wimu_sensors::{Lsm6dso, SpiBus};
 use wimu_sim::attitude::Attitude;
 use wimu_sim::clock::VirtualClock;
 use wimu_sim::i2c::{I2cError, SimI2c};
@@ -19,24 +18,12 @@ use wimu_sim::source::{Physics, Source};
 use wimu_sim::spi::SimSpi;
 use wimu_sim::truth::{Gauge, SensorTruth};
 
-const RANGES_G: [AccelerationRange; 4] =
-    [AccelerationRange::G2, AccelerationRange::G4, AccelerationRange::G8, AccelerationRange::G16];
-const RANGES_DPS: [(AngularRateRange, f64); 5] = [
-    (AngularRateRange::Dps125, 125.0),
-    (AngularRateRange::Dps250, 250.0),
-    (AngularRateRange::Dps500, 500.0),
-    (AngularRateRange::Dps1000, 1000.0),
-    (AngularRateRange::Dps2000, 2000.0),
-];
-const SETUP: Setup = Setup {
-    acceleration: AccelerationRange::G4,
-    angular_rate: AngularRateRange::Dps500,
-    rate: Rate::Hz208,
-    power: Power::High,
-    watermark: 8,
-};
+use crate::fifo_bench::{OnClock, bus, driver, next, start};
+
 /// 10 MHz.
 const SPI_HZ: u32 = 10_000_000;
+/// LSB of the gyroscope at ±2000 °/s, °/s.
+const DPS_PER_LSB: f64 = 0.07;
 
 /// What a test holds beside the driver.
 struct Bench {
@@ -45,34 +32,21 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(address: u8, source: impl Source + 'static) -> Self {
+    fn new(source: impl Source + 'static) -> Self {
         let clock = VirtualClock::new();
-        let sensor = Sensor::lsm6dso(&clock, address, source);
+        let sensor = Sensor::lsm6dso(&clock, 0x6A, source);
         Self { clock, sensor }
     }
 
-    fn i2c(&self) -> SimI2c {
-        SimI2c::new(&self.clock, [Rc::new(self.sensor.clone()) as Rc<_>])
-    }
-
-    /// Runs `use_it` with a driver on I²C.
-    fn on_i2c(
-        &self,
-        use_it: impl AsyncFnOnce(&mut Lsm6dso<I2cBus<SimI2c>>) -> Result<(), Error<I2cError>>,
-    ) {
-        let i2c = self.i2c();
-        let address = Address::Low;
-        let mut driver = Lsm6dso::new(I2cBus { i2c, address });
-        let outcome = self.clock.run(use_it(&mut driver));
-        outcome.expect("nothing stalls").expect("the bus works");
-    }
-
     /// Runs `use_it` with a driver on SPI.
-    fn on_spi<R>(&self, use_it: impl AsyncFnOnce(&mut Lsm6dso<SpiBus<SimSpi>>) -> R) -> R {
+    fn on_spi(
+        &self,
+        use_it: impl AsyncFnOnce(&mut OnClock<Lsm6dso<SpiBus<SimSpi>>>) -> Result<(), SensorFault>,
+    ) {
         let spi = SimSpi::new(&self.clock, Rc::new(self.sensor.clone()), SPI_HZ);
-        let mut driver = Lsm6dso::new(SpiBus(spi));
+        let mut driver = driver(&self.clock, &self.sensor, Lsm6dso::new(SpiBus(spi)));
         let outcome = self.clock.run(use_it(&mut driver));
-        outcome.expect("nothing stalls")
+        outcome.expect("nothing stalls").expect("SPI works");
     }
 
     /// Lets time pass.
@@ -107,7 +81,7 @@ fn spinning(dps: [f64; 3]) -> Scene {
 
 /// An ideal sensor in `scene`.
 fn ideal(scene: Scene) -> Bench {
-    Bench::new(0x6A, Physics::new(SensorTruth::ideal(), scene, 1))
+    Bench::new(Physics::new(SensorTruth::ideal(), scene, 1))
 }
 
 /// Samples that tell their number on every axis of both sensors.
@@ -130,27 +104,6 @@ impl Source for Numbered {
     }
 }
 
-fn numbered() -> Bench {
-    Bench::new(0x6A, Numbered)
-}
-
-/// Reads the FIFO until it holds less than a sample, or for 40 bursts on a bus that hardly keeps up.
-async fn drain<B: Bus>(
-    driver: &mut Lsm6dso<B>,
-) -> Result<(Vec<Batch>, Vec<Sample>), Error<B::Error>> {
-    let (mut batches, mut all) = (Vec::new(), Vec::new());
-    for _ in 0..40 {
-        let mut samples = [Sample::default(); 16];
-        let batch = driver.read(&mut samples).await?;
-        batches.push(batch);
-        all.extend_from_slice(&samples[..batch.count]);
-        if batch.samples_left < 1 {
-            break;
-        }
-    }
-    Ok((batches, all))
-}
-
 fn near(counts: i16, lsb: f64, expected: f64) {
     let found = f64::from(counts) * lsb;
     assert!((found - expected).abs() <= 0.51 * lsb, "{found}, expected {expected}");
@@ -158,52 +111,47 @@ fn near(counts: i16, lsb: f64, expected: f64) {
 
 #[test]
 fn every_range_reads_gravity_and_a_constant_rate() {
-    for range in RANGES_G {
-        for (angular_range, dps) in RANGES_DPS {
-            // Half of the range about the vertical.
-            let bench = ideal(spinning([0.0, 0.0, -dps / 2.0]));
-            bench.on_i2c(async |driver| {
-                let setup = Setup { acceleration: range, angular_rate: angular_range, ..SETUP };
-                driver.start(&setup, &mut bench.clock.clone()).await?;
-                bench.wait_us(50_000).await;
-                let (_, samples) = drain(driver).await?;
-                assert!(samples.len() >= 9);
-                for sample in samples {
-                    let g = f64::from(range.ug_per_lsb()) * 1e-6;
-                    let [x, y, z] = sample.acceleration;
-                    near(x, g, 0.0);
-                    near(y, g, 0.0);
-                    near(z, g, 1.0);
-                    let lsb = f64::from(angular_range.udps_per_lsb()) * 1e-6;
-                    assert_eq!(sample.angular_rate[..2], [0, 0]);
-                    near(sample.angular_rate[2], lsb, -dps / 2.0);
-                }
-                Ok(())
-            });
-        }
+    for range_g in [2, 4, 8, 16] {
+        // Half of the range about the vertical.
+        let bench = ideal(spinning([0.0, 0.0, -1000.0]));
+        bench.on_spi(async |driver| {
+            let plan = start(driver, 208, range_g, High).await?;
+            let (_, samples) = next(driver).await?;
+            assert_eq!(samples.len(), 8);
+            for (acceleration, angular_rate) in samples {
+                let g = 1.0 / plan.sensor.accelerometer.sensitivity().lsb_per_g();
+                let [x, y, z] = acceleration.0;
+                near(x, g, 0.0);
+                near(y, g, 0.0);
+                near(z, g, 1.0);
+                assert_eq!(angular_rate.0[..2], [0, 0]);
+                near(angular_rate.0[2], DPS_PER_LSB, -1000.0);
+            }
+            Ok(())
+        });
     }
 }
 
 #[test]
 fn no_sample_of_the_turn_on_time_is_delivered() {
-    for rate in Rate::ALL {
+    for rate_hz in [13, 26, 52, 104, 208, 416, 833, 1666] {
         let bench = ideal(Scene::new(World::default()));
         bench.on_spi(async |driver| {
-            let setup = Setup { rate, ..SETUP };
-            let clock = &bench.clock;
-            driver.start(&setup, &mut clock.clone()).await.expect("the bus works");
-            bench.wait_us(20 * u64::from(rate.period_ns()) / 1000).await;
-            let (_, samples) = drain(driver).await.expect("the bus works");
-            assert!(samples.len() >= 19, "{rate:?}");
-            assert!(samples.iter().all(|sample| sample.angular_rate == [0; 3]), "{rate:?}");
+            start(driver, rate_hz, 4, High).await?;
+            for _ in 0..20 {
+                for (_, angular_rate) in next(driver).await?.1 {
+                    assert_eq!(angular_rate, Counts([0; 3]), "{rate_hz} Hz");
+                }
+            }
+            Ok(())
         });
     }
 }
 
 #[test]
 fn output_registers_keep_the_bytes_of_a_value_together() {
-    let bench = numbered();
-    let mut i2c = bench.i2c();
+    let bench = Bench::new(Numbered);
+    let mut i2c = bus(&bench.clock, &bench.sensor, 0x6A).i2c;
     let value = async |i2c: &mut SimI2c, control: u8| {
         i2c.write(0x6A, &[0x12, control]).await?;
         let (mut low, mut high) = ([0], [0]);
@@ -231,9 +179,9 @@ fn the_oscillator_sets_the_rate() {
     let scene = Scene::new(World::default());
     let mut physics = Physics::new(SensorTruth::ideal(), scene, 1);
     physics.truth.period_error_ppm = -15_000.0;
-    let bench = Bench::new(0x6A, physics);
-    bench.on_i2c(async |driver| {
-        driver.start(&SETUP, &mut bench.clock.clone()).await?;
+    let bench = Bench::new(physics);
+    bench.on_spi(async |driver| {
+        start(driver, 208, 4, High).await?;
         let before = bench.sensor.samples_taken();
         bench.wait_us(4_800_000).await;
         let taken = bench.sensor.samples_taken() - before;
@@ -246,29 +194,29 @@ fn the_oscillator_sets_the_rate() {
 fn hidden_errors_and_noise_appear_in_the_counts() {
     let scene = Scene::new(World::default());
     let truth = SensorTruth::random_lsm6dso(7, Gauge::Full);
-    let bench = Bench::new(0x6A, Physics::new(truth, scene, 7));
+    let bench = Bench::new(Physics::new(truth, scene, 7));
     let (truth, terms) = (truth.gyroscope, truth.gyroscope.model.terms());
     bench.on_spi(async |driver| {
-        let setup = Setup { angular_rate: AngularRateRange::Dps125, ..SETUP };
-        let started = driver.start(&setup, &mut bench.clock.clone()).await;
-        started.expect("SPI works");
+        start(driver, 208, 4, High).await?;
         let mut rates = Vec::new();
-        for _ in 0..100 {
-            bench.wait_us(400_000).await;
-            let (_, samples) = drain(driver).await.expect("SPI works");
-            rates.extend(samples.iter().map(|sample| sample.angular_rate));
+        while rates.len() < 8_000 {
+            let samples = next(driver).await?.1;
+            rates.extend(samples.into_iter().map(|(_, angular_rate)| angular_rate.0));
         }
         let n = rates.len() as f64;
         for axis in 0..3 {
-            let dps: Vec<f64> = rates.iter().map(|rate| f64::from(rate[axis]) * 4.375e-3).collect();
+            let dps: Vec<f64> =
+                rates.iter().map(|rate| f64::from(rate[axis]) * DPS_PER_LSB).collect();
             let mean = dps.iter().sum::<f64>() / n;
             let g_sensitivity = terms.g_sensitivity[axis][2] * STANDARD_GRAVITY_MPS2;
             let expected = (terms.bias_rad_s[axis] + g_sensitivity).to_degrees();
             assert!((mean - expected).abs() < 3e-3, "{mean}");
             let sd = (dps.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n).sqrt();
             let density = truth.noise_radps_per_rthz.to_degrees();
-            let expected = density * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
+            let noise = density * (1e9 / 4_800_000.0 / 2.0_f64).sqrt();
+            let expected = noise.hypot(DPS_PER_LSB / 12_f64.sqrt());
             assert!((sd / expected - 1.0).abs() < 0.05, "{sd}, expected {expected}");
         }
+        Ok(())
     });
 }

@@ -13,15 +13,12 @@ use crate::setup::{TARGETS, embedded_cargo};
 use crate::{Result, cargo_target};
 
 /// The libraries, with the features that add functions.
-const LIBRARIES: [(&str, &str); 8] = [
+const LIBRARIES: [(&str, &str); 5] = [
     ("wimu-model", ""),
     ("wimu-integrator", ""),
     ("wimu-link", "auth"),
-    ("wimu-registers", ""),
-    ("wimu-adxl345", ""),
-    ("wimu-lsm6dso", ""),
-    ("wimu-mpu6050", ""),
     ("wimu-node", "full,flash-store"),
+    ("wimu-sensors", ""),
 ];
 /// Functions for constants, whose panic is an error of the compiler.
 const CONSTANTS: [&str; 1] = ["wimu_node::mounting::Mounting::new"];

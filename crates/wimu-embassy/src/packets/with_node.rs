@@ -9,11 +9,10 @@ use embassy_futures::select::{Either, select};
 use embassy_futures::yield_now;
 use wimu_link::frame::Deframer;
 use wimu_link::hello::{Capabilities, Part};
-use wimu_link::message::Settings;
 use wimu_link::{Hello, Kind, LinkRole};
 use wimu_model::{Counts, DeviceTimeUs};
-use wimu_node::sensor::{Batch, Plan, SensorFault, Surroundings};
-use wimu_node::{Board, InertialSensor, Key, Shared, Store, StoreFault, Timer};
+use wimu_node::sensor::{AccelerometerScale, Batch, Plan, SensorFault, Surroundings};
+use wimu_node::{Board, InertialSensor, Key, PolledPlanner, Shared, Store, StoreFault, Timer};
 
 use super::*;
 use crate::{Start, hello};
@@ -38,17 +37,16 @@ impl Timer for Clock {
 
 pub(crate) struct NoSensor;
 
-fn plan(wanted: &Settings) -> Result<Plan, Settings> {
-    wimu_node::Adxl345::<(), (), ()>::plan(wanted)
-}
+static SCALE: AccelerometerScale = AccelerometerScale::of(16384.0);
 
 impl InertialSensor for NoSensor {
     type Sample = Counts;
-    type Planner = fn(&Settings) -> Result<Plan, Settings>;
+    type Planner = PolledPlanner;
     const PART: Part = Part::new(0, "none");
 
-    fn planner(&self) -> Self::Planner {
-        plan
+    fn planner(&self) -> PolledPlanner {
+        let (accelerometer, full_scale) = (&SCALE, i16::MAX.into());
+        PolledPlanner { range_g: 2, fastest_hz: 100, accelerometer, full_scale, gyroscope: None }
     }
 
     async fn configure(&mut self, _: &Plan) -> Result<(), SensorFault> {

@@ -8,7 +8,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use wimu_host::{Code, Result};
+use wimu_host::{Code, Problem, Result};
 
 use crate::arguments::{Board, Flash};
 use crate::output::{Output, usage};
@@ -105,12 +105,21 @@ fn on_drives(drives: &[PathBuf]) -> Result<Facts> {
     boards.retain(|board| drives.iter().any(|drive| board.has_drive(drive)));
     match (boards.pop(), boards.is_empty()) {
         (Some(board), true) => Ok(board),
-        (None, _) => Err(usage(
-            "no board shows its drive",
-            "name the board: wimu device flash --help lists them",
-        )),
+        (None, _) => Err(without_drive()),
         _ => Err(usage("several boards show their drives", "name the one to write")),
     }
+}
+
+/// No board shows its drive. An ESP32-C3 has none; its USB serial port has the vendor number of its maker.
+fn without_drive() -> Problem {
+    let mut ports = wimu_host::transport::ports().unwrap_or_default().into_iter();
+    let Some(port) = ports.find(|port| port.usb.is_some_and(|usb| usb.vendor == 0x303a)) else {
+        let remedy = "name the board: wimu device flash --help lists them";
+        return usage("no board shows its drive", remedy);
+    };
+    let path = port.path;
+    let text = format!("the ESP32-C3 at {path} has no drive; espflash writes it");
+    usage(text, format!("cd firmware/esp32c3 && cargo run --release -- --port {path}"))
 }
 
 /// Folders at which drives are mounted.

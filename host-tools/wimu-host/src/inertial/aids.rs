@@ -543,9 +543,8 @@ fn noticed(table: &Measurements, time: Option<MeasuredColumn>, found: &[Columns]
         if let (Some(sd), true) = (kind.usual_sd, sds.iter().all(Option::is_none)) {
             let unit = kind.unit[0].1.split(' ').next().unwrap_or_default();
             let text = format!(
-                "the {} have no standard deviation: {} {unit} is used",
-                several(kind.one),
-                significant(sd, 3)
+                "the {} have no standard deviation: {sd} {unit} is used",
+                several(kind.one)
             );
             let remedy = format!("give it as {} ({unit})", sigma(kind.columns[0][0]));
             findings.push(Code::Navigation.note(text).remedy(remedy));

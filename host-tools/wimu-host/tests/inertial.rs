@@ -81,7 +81,7 @@ fn position_is_measured_from_the_end_of_the_first_rest_however_long_it_was() {
 }
 
 #[test]
-fn what_one_axis_shows_alone_in_a_sample_is_left_out() {
+fn an_outlier_of_one_axis_is_left_out() {
     let whole = slide_after(2.0, 0.0);
     let mut faulty = whole.clone();
     faulty.samples.v[400].force_mps2[0] += 40.0;

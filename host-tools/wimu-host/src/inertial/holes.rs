@@ -1,5 +1,5 @@
-//! Samples of which the accelerometer gives no number, more than its full scale, or goes on giving the last one, and those in
-//! which an axis departs alone: they are left out, as if they were missing.
+//! Samples of which the accelerometer gives no number, more than its full scale, or goes on giving the last one, and outliers:
+//! they are left out, as if they were missing.
 
 use nalgebra::Vector3;
 
@@ -18,13 +18,13 @@ const FULL_SCALE_RAD_S: f64 = 350.0;
 /// The same of a magnetometer, µT: ± 50 gauss (LSM303AGR, datasheet).
 const FULL_SCALE_UT: f64 = 5000.0;
 
-/// Samples on each side of one that show whether it departs alone: the half width of a Hampel identifier (R. K. Pearson,
-/// "Outliers in process modeling and identification", IEEE Trans. Control Syst. Technol. 10, 2002).
-const ABOUT: usize = 3;
-/// It does if it departs by so many times what these differ, and what the axis usually departs: a fault of a bus or of a
-/// logger, not of a motion that the sample rate resolves. In 120,000 samples of a hand and of robot arms (BROAD and others) none
-/// does, in 99,000 of a foot (pyshoe) one.
-const ALONE: f64 = 10.0;
+/// Half width of the window that shows an outlier, samples: that of a Hampel identifier (R. K. Pearson, "Outliers in process
+/// modeling and identification", IEEE Trans. Control Syst. Technol. 10, 2002).
+const HALF_WIDTH: usize = 3;
+/// An outlier's distance from the mean of its neighbours is so many times the range of the window's other samples, and so many
+/// times the axis's median distance and its resolution: a fault of the bus or the logger, which no motion within the bandwidth
+/// shows. Chosen on the recordings of hands, robot arms and feet in shared/data.
+const OUTLIER: f64 = 10.0;
 
 /// Samples that are left out, from a recording's first to its last, and what to say of them.
 pub(crate) struct Holes {
@@ -64,17 +64,17 @@ impl Holes {
         let others = rate.into_iter().chain(field);
         let text = |said| format!("{said}: left out there");
         findings.extend(others.map(|(_, said)| Code::SamplesLeftOut.warning(text(said))));
-        let mut alone = alone(recording);
-        alone.retain(|k| !left_out[*k]);
-        if let Some(first) = alone.first() {
+        let mut outliers = outliers(recording);
+        outliers.retain(|k| !left_out[*k]);
+        if let Some(first) = outliers.first() {
             findings.push(Code::SamplesLeftOut.warning(format!(
-                "an axis departs from what is before and after by more than {ALONE} times what that differs in {}, first at \
-                 {:.2} s: left out, as if they were missing",
-                counted(alone.len(), "sample"),
+                "{}, first at {:.2} s: an axis departs from its neighbours by more than {OUTLIER} times their range; left \
+                 out, as if they were missing",
+                counted(outliers.len(), "outlier"),
                 recording.samples.t[*first].s()
             )));
         }
-        for k in alone {
+        for k in outliers {
             left_out[k] = true;
         }
         let frozen = frozen::runs(recording);
@@ -160,8 +160,8 @@ fn beyond(
     Some((found, said))
 }
 
-/// Samples in which an axis of the accelerometer or of the gyroscope departs alone.
-fn alone(recording: &Imu) -> Vec<usize> {
+/// Samples in which an axis of the accelerometer or of the gyroscope is an outlier.
+fn outliers(recording: &Imu) -> Vec<usize> {
     let samples = &recording.samples.v;
     let mut found = Vec::new();
     for axis in 0..6 {
@@ -172,21 +172,22 @@ fn alone(recording: &Imu) -> Vec<usize> {
                 rate.map_or(f64::NAN, |rate| rate[axis - 3])
             }
         };
-        let departs = |k: usize| (value(k) - 0.5 * (value(k - 1) + value(k + 1))).abs();
-        let Some(usual) = median((1..samples.len().saturating_sub(1)).map(departs)) else {
+        let distance = |k: usize| (value(k) - 0.5 * (value(k - 1) + value(k + 1))).abs();
+        let Some(median_distance) = median((1..samples.len().saturating_sub(1)).map(distance))
+        else {
             continue;
         };
         let change = |k: usize| (value(k) - value(k - 1)).abs();
-        let step =
+        let resolution =
             (1..samples.len()).map(change).filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min);
-        let is_alone = |k: &usize| {
-            let others = (k - ABOUT..=k + ABOUT).filter(|other| other != k).map(value);
+        let is_outlier = |k: &usize| {
+            let others = (k - HALF_WIDTH..=k + HALF_WIDTH).filter(|other| other != k).map(value);
             let [low, high] = others.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| {
                 [low.min(v), high.max(v)]
             });
-            departs(*k) > ALONE * (high - low).max(usual).max(step)
+            distance(*k) > OUTLIER * (high - low).max(median_distance).max(resolution)
         };
-        found.extend((ABOUT..samples.len().saturating_sub(ABOUT)).filter(is_alone));
+        found.extend((HALF_WIDTH..samples.len().saturating_sub(HALF_WIDTH)).filter(is_outlier));
     }
     found.sort_unstable();
     found.dedup();

@@ -22,7 +22,8 @@ const PROGRAM_NS = 0.4e6;
 /** Functions of the boot ROM that the firmware calls, by their codes. */
 const ROM_FUNCTIONS = ['IF', 'EX', 'RE', 'RP', 'FC', 'CX', 'C4', 'MC', 'MS', 'S4'];
 
-/** Blocks of registers that the emulator has no more than a part of. */
+/** Blocks of registers that the emulator has nothing or no more than a part of. */
+const XIP_CONTROL = 0x14000;
 const TIMER = 0x40054;
 const WATCHDOG = 0x40058;
 const CHIP_RESET = 0x40064;
@@ -99,6 +100,8 @@ export class Pico {
     const watchdog = chip.peripherals[WATCHDOG];
     const reset = chip.peripherals[CHIP_RESET];
     reset.readUint32 = () => this.resetBy;
+    // No read of the flash goes on in the background.
+    chip.peripherals[XIP_CONTROL] = { readUint32: () => 0, writeUint32Atomic() {} };
     if (before) {
       this.deepest = this.deepestStack(before);
       chip.flash.set(before.flash);

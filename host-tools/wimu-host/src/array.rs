@@ -11,13 +11,11 @@ mod outputs;
 mod rests;
 mod samples;
 mod stored;
-mod units;
 
 pub use calibration::{ArrayCalibration, SensorFit};
-pub use fit::{Agreement, RefineOptions, Refinement, refine};
+pub use fit::{Agreement, RefineOptions, Refinement};
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::ArrayBody;
 pub use rests::EvenTurn;
-pub use samples::Array;
+pub use samples::{Array, ArrayUnit};
 pub use stored::{CalibratedArray, calibrate_array};
-pub use units::{ArrayUnit, UnitOptions};

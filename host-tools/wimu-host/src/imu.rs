@@ -46,8 +46,6 @@ pub struct Truth {
 pub struct Reference {
     /// Position, m, east-north-up.
     pub position_m: Series<Vector3<f64>>,
-    /// Velocity, m/s, east-north-up.
-    pub velocity_mps: Series<Vector3<f64>>,
     /// Body to navigation axes, W X Y Z.
     pub quaternion: Series<Vector4<f64>>,
     /// Angular rate, rad/s, body axes.
@@ -67,7 +65,6 @@ impl Reference {
         let moving = file.of(Quantity::Scalar).find(|track| track.info.name == MOVING);
         Self {
             position_m: vectors(Quantity::Position),
-            velocity_mps: vectors(Quantity::Velocity),
             quaternion: truth(Quantity::Attitude).map_or_else(Series::default, Track::series),
             rate_rad_s: vectors(Quantity::AngularRate),
             moving: moving.map_or_else(Series::default, |track| track.series::<1>().map(|v| v[0])),

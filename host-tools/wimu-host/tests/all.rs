@@ -7,7 +7,6 @@ mod array_coverage;
 mod array_input;
 mod array_journeys;
 mod array_survey;
-mod arrays;
 mod bags;
 #[cfg(feature = "ble")]
 mod ble;

@@ -1,10 +1,11 @@
 //! What navigating a file claims.
 
-use crate::common::{UNITS, push, read};
+use crate::common::{push, read};
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::Code;
 use wimu_host::array::{Array, ArrayBody, ArrayCalibration, ArrayGeometry};
+use wimu_host::formats::ReadOptions;
 use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::{Aids, Choice, InertialPath, Method, Profile, StartPose, Zupt, navigate};
 use wimu_host::series::{Flags, Ns};
@@ -361,7 +362,7 @@ fn what_a_file_does_not_support_is_refused() {
     let counts = file(&format!("{head}\n0,1,2,3\n1,1,2,3\n"));
     let refused = read(&counts).unwrap_err();
     assert_eq!(refused.code, Code::UnknownFormat);
-    let refused = Array::read(&[&counts], &UNITS).unwrap_err();
+    let refused = Array::read(&counts, &ReadOptions::default(), None).unwrap_err();
     assert_eq!(refused.code, Code::Usage);
 }
 

@@ -3,11 +3,12 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::common::{UNITS, read};
+use crate::common::read;
 use proptest::prelude::*;
 use tempfile::{NamedTempFile, TempPath};
 use wimu_calib::Gravity;
 use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry, ArrayUnit};
+use wimu_host::formats::ReadOptions;
 use wimu_host::inertial::{Choice, InertialPath, Profile, Zupt, navigate, navigate_array};
 use wimu_host::{Code, Problem};
 use wimu_testkit::{Lane, Random};
@@ -132,7 +133,7 @@ proptest! {
         let geometry = ArrayGeometry::read(Path::new("four:30mm")).unwrap();
         let zupt = [Zupt::Assumed, Zupt::Stated, Zupt::Off][seed as usize % 3];
         let choice = Choice { zupt, ..Choice::default() };
-        let recording = Array::read(&[&csv], &UNITS).unwrap();
+        let recording = Array::read(&csv, &ReadOptions::default(), None).unwrap();
         let found = recording.arranged(&geometry).and_then(|recording| {
             let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
             navigate_array(&recording, &geometry, &calibration, &choice)
@@ -213,7 +214,7 @@ fn an_output_of_an_array_beyond_any_full_scale_is_left_out_and_said() {
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     for (value, left_out) in [(65_536.0, true), (1e308, true), (1999.0, false)] {
         let csv = file(&table(0.3, &[(300, 4, value)], &names, 3));
-        let recording = Array::read(&[&csv], &UNITS).unwrap();
+        let recording = Array::read(&csv, &ReadOptions::default(), None).unwrap();
         let said = "2000 m/s², in 1 output, first at 3.00 s";
         let says = recording.remarks.iter().any(|remark| remark.contains(said));
         assert_eq!(says, left_out, "{:?}", recording.remarks);

@@ -87,7 +87,6 @@ fn an_array_at_a_constant_rate_is_compared_with_its_truth_at_the_files_times() {
     let rate = &report["rate_nees"];
     assert!(rate["samples"].as_u64().unwrap() > 400, "{report}");
     assert!(rate["share_below_7_81"].as_f64().unwrap() > 0.7, "{report}");
-    assert!(report["velocity_nees"].is_null(), "{report}");
     let path = fs::read_to_string(&out).unwrap();
     let row = |k: usize| -> Vec<f64> {
         let row = path.lines().nth(k + 1).unwrap();

@@ -1,4 +1,4 @@
-//! `wimu navigate` with several accelerometers on one body: clocks of boards and the point that a path is of.
+//! `wimu navigate` with several accelerometers on one body: the point that a path is of.
 
 use crate::kit;
 
@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use kit::{Background, Ran, Simulator, Transcript, findings, folder, record_until, wimu};
+use kit::{Ran, Transcript, folder, wimu};
 
 const POSITIONS: [[f64; 3]; 4] =
     [[0.05, 0.05, 0.05], [0.05, -0.05, -0.05], [-0.05, 0.05, -0.05], [-0.05, -0.05, 0.05]];
@@ -48,43 +48,6 @@ fn recording(folder: &Path) -> String {
 
 fn navigate(recording: &str, geometry: &str) -> Ran {
     wimu(&["navigate", recording, "--setup", kit::setup("geometry", geometry)])
-}
-
-#[test]
-fn wireless_boards_on_one_body_are_brought_together_by_their_clocks() {
-    let folder = folder();
-    let boards: Vec<Simulator> = ["clock=50ppm", "clock=-80ppm"]
-        .map(|clock| Simulator::start(&["--motion", "rest", "--faults", clock]))
-        .into();
-    let files: Vec<String> = ["a.mcap", "b.mcap"]
-        .map(|name| folder.path().join(name).to_str().unwrap().to_owned())
-        .into();
-    let recorders: Vec<Background> = boards
-        .iter()
-        .zip(&files)
-        .map(|(board, file)| Background::start(&["record", &board.wireless, "-o", file]))
-        .collect();
-    for (recorder, file) in recorders.into_iter().zip(&files) {
-        record_until(recorder, file, |link| link["raw_samples"].as_u64() > Some(450));
-    }
-    let positions = geometry(folder.path(), &POSITIONS);
-    let (a, b) = (files[0].as_str(), files[1].as_str());
-    let ran = wimu(&["navigate", a, b, a, b, "--setup", kit::setup("geometry", &positions)]);
-    let object = ran.succeeds();
-    assert_eq!(object["method"], "array");
-    assert!(object["duration_s"].as_f64().unwrap() > 3.0, "{object}");
-    assert!(object["valid_share"].as_f64().unwrap() > 0.6, "{object}");
-    // Each board's clock is reported under the name of its recording.
-    for name in &files {
-        let clocks = findings(&object).into_iter();
-        let clocks = clocks.filter(|text| text.contains(&format!(": {name}")));
-        assert_eq!(clocks.count(), 2, "{object}");
-    }
-    // A calibration of them as one array reads the raw samples of both; one side up does not suffice.
-    let calibrate = ["calibrate", a, b, a, b, "--setup", kit::setup("geometry", &positions)];
-    wimu(&calibrate).fails(3, "data_refused");
-    wimu(&["navigate", a, b]).fails(2, "usage");
-    wimu(&["navigate", a, b, "--setup", kit::setup("geometry", &positions)]).fails(2, "usage");
 }
 
 #[test]

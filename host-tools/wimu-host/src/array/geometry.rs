@@ -119,11 +119,6 @@ impl ArrayGeometry {
         Ok(self)
     }
 
-    /// Whether any sensor has an error model: these are of raw samples.
-    pub fn has_models(&self) -> bool {
-        self.sensors.iter().any(|sensor| sensor.model.is_some())
-    }
-
     /// Of triads in body axes at these places, m.
     pub fn at(places_m: &[[f64; 3]]) -> Self {
         Self::new(places_m.iter().copied().map(ArraySensor::at).collect())
@@ -183,7 +178,7 @@ impl ArrayGeometry {
         }
         let bad = |message: String| {
             Code::BadCalibration.error(message,
-                "give a file that `wimu calibrate --setup geometry=FILE` or `wimu navigate --setup refine=FILE` wrote, or a table of places in m",
+                "give a file that `wimu calibrate --setup geometry=FILE` wrote, or a table of places in m",
             )
             .at(&name)
         };

@@ -1,13 +1,17 @@
-//! The samples of an array: of one table, or of several boards brought to one time.
+//! The samples of an array: the accelerometers of one recording at common times.
 
 use std::path::Path;
 
 use nalgebra::Vector3;
+use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::ArrayGeometry;
-use super::units::{ArrayUnit, Part, UnitOptions};
 use crate::calibration::Correction;
+use crate::formats::{self, ReadOptions};
 use crate::imu::{Reference, Truth};
+use crate::inertial::FULL_SCALE_MPS2;
+use crate::plural::counted;
+use crate::recording::{Quantity, Recording, Track, Unit};
 use crate::series::{Flags, Interp, Ns, Series};
 use crate::{Code, Result};
 
@@ -15,6 +19,10 @@ use crate::{Code, Result};
 const MOST_SENSORS: usize = 32;
 /// Fewest samples: a cubic needs as many.
 const FEWEST: usize = 4;
+/// Sensitivity of counts where nothing says it, LSB/g: 16 bits at ± 16 g.
+const SENSITIVITY_LSB_PER_G: f64 = 2048.0;
+/// Counts of a 16-bit sensor from which on an axis is at its limit.
+const LIMIT_COUNTS: f64 = 32_700.0;
 
 /// Several accelerometers of one body, at common times.
 #[derive(Clone, Debug, Default)]
@@ -31,94 +39,105 @@ pub struct Array {
     pub remarks: Vec<String>,
 }
 
+/// One sensor of an array: a triad in its own axes.
+#[derive(Clone, Debug, Default)]
+pub struct ArrayUnit {
+    /// Its output, m/s².
+    pub force: Series<Vector3<f64>>,
+    /// The sensitivity by which counts were scaled, LSB/g; `None` of output in m/s² or g.
+    pub sensitivity_lsb_per_g: Option<f64>,
+}
+
 impl Array {
-    /// Reads a file of any format with all accelerometers, or one of each board in the order of the geometry.
+    /// Reads a file of any format with all accelerometers, at the times of the first one. Faults of their outputs are
+    /// [left out](Self::judged). `sensitivity_lsb_per_g` is that of counts,
+    /// instead of the file's.
     ///
     /// # Errors
-    /// Those of [`formats::load`](crate::formats::load) and [`of`](Self::of); `data_refused` where nothing tells the clock of a
-    /// board.
-    pub fn read(paths: &[&Path], options: &UnitOptions) -> Result<Self> {
-        let parts = paths.iter().map(|path| Part::read(path, options));
-        let mut parts = parts.collect::<Result<Vec<Part>>>()?;
-        if let [only] = &mut *parts {
-            let part = std::mem::take(only);
-            let array = Self::of(part.units)?;
-            let remarks = part.remarks.into_iter().chain(array.remarks).collect();
-            let Part { reference, has_magnetometer, .. } = part;
-            return Ok(Self { reference, has_magnetometer, remarks, ..array });
-        }
-        for (part, path) in parts.iter().zip(paths) {
-            if part.units.len() != 1 {
-                let message = format!("it has {} accelerometers", part.units.len());
-                let remedy = "one of several boards has one; give a table of all by itself";
-                return Err(Code::Usage.error(message, remedy).at(crate::untrusted::name(path)));
-            }
-        }
-        let remarks: Vec<String> = parts.iter().flat_map(|part| part.remarks.clone()).collect();
-        let array = Self::of(parts.into_iter().flat_map(|part| part.units).collect())?;
-        Ok(Self { remarks: remarks.into_iter().chain(array.remarks).collect(), ..array })
+    /// Those of [`formats::load`]; `csv_missing_column` without times; `usage` for fewer than two sensors or more than 32;
+    /// `no_rows` for fewer than four samples.
+    pub fn read(
+        path: &Path,
+        options: &ReadOptions,
+        sensitivity_lsb_per_g: Option<f64>,
+    ) -> Result<Self> {
+        let file = formats::load(path, options)?;
+        Self::of(&file, sensitivity_lsb_per_g).map_err(|error| error.at(&file.name))
     }
 
-    /// Of sensors. Where their times differ, they are brought to those of the slowest one: each of the others is interpolated
-    /// between the four samples around (cubic). Faults of their outputs are [left out](Self::judged).
-    ///
-    /// # Errors
-    /// `usage` for fewer than two sensors or more than 32; `data_refused` where their times do not overlap; `no_rows` for fewer
-    /// than four samples.
-    pub fn of(units: Vec<ArrayUnit>) -> Result<Self> {
-        let mut names: Vec<&str> = units.iter().map(|unit| unit.name.as_str()).collect();
-        names.dedup();
-        let name = names.join(", ");
-        if !(2..=MOST_SENSORS).contains(&units.len()) {
+    fn of(file: &Recording, sensitivity_lsb_per_g: Option<f64>) -> Result<Self> {
+        let forces: Vec<&Track> = file.of(Quantity::SpecificForce).collect();
+        let Some(time) = forces.first().filter(|track| !track.info.timeless) else {
+            let message =
+                format!("an array needs times and accelerometers; there are {}", forces.len());
+            let remedy = "name the columns `Time (s)`, `Accelerometer 0 X (LSB)`, `Accelerometer 1 X (LSB)`, …";
+            return Err(Code::CsvMissingColumn.error(message, remedy));
+        };
+        if !(2..=MOST_SENSORS).contains(&forces.len()) {
             let message = format!(
                 "an array is made of 2 to {MOST_SENSORS} accelerometers, and there are {}",
-                units.len()
+                forces.len()
             );
-            let remedy =
-                "give a table of all, or the recording of each board in the order of the geometry";
-            return Err(Code::Usage.error(message, remedy).at(name));
+            return Err(Code::Usage.error(message, "give a table of all"));
         }
-        let times = units[0].force.t.clone();
-        if units.iter().all(|unit| unit.force.t == times) {
-            if times.len() < FEWEST {
-                let error =
-                    Code::NoRows.error("there are fewer than four samples", "check the file");
-                return Err(error.at(name));
-            }
-            return Ok(Self { name, units, ..Self::default() }.judged());
+        if time.len() < FEWEST {
+            return Err(Code::NoRows.error("there are fewer than four samples", "check the file"));
         }
-        let times = common_times(&units)?;
-        let mut array = Self { name, units, ..Self::default() };
-        array.remarks = array.units.iter().flat_map(ArrayUnit::remarks).collect();
-        array.interpolate(&times);
+        let masked = file.relevant(&[Code::RowsMasked, Code::Frozen]);
+        let unit = |force: &&Track| ArrayUnit::of_track(force, time, sensitivity_lsb_per_g);
+        let mut array = Self {
+            name: file.name.clone(),
+            units: forces.iter().map(unit).collect(),
+            reference: Reference::of(file),
+            has_magnetometer: file.first(Quantity::MagneticField).is_some(),
+            remarks: masked.iter().map(ToString::to_string).collect(),
+        };
+        array.report_absent();
+        array.leave_out_beyond();
         Ok(array.judged())
     }
 
-    /// Interpolates each sensor to the same times.
-    fn interpolate(&mut self, times: &[Ns]) {
-        let (mut squares, mut count, mut missing) = (0.0, 0.0, 0_usize);
-        for unit in &mut self.units {
-            let values = unit.force.on(times.iter().copied(), Interp::Cubic);
-            let rows = times.iter().zip(values).map(|(time, at)| {
-                let Some(at) = at else {
-                    missing += 1;
-                    return (*time, Vector3::repeat(f64::NAN), Flags::NONE);
-                };
-                squares += at.error * at.error;
-                count += 1.0;
-                (*time, at.value, at.flags)
-            });
-            let force = Series::flagged(rows);
-            unit.force = force;
-        }
-        if count > 0.0 {
-            let missing = match missing {
-                0 => String::new(),
-                some => format!(", {some} values missing"),
+    /// Remarks which sensors give no number, and where.
+    fn report_absent(&mut self) {
+        let mut places = Vec::new();
+        for (sensor, ArrayUnit { force, .. }) in self.units.iter().enumerate() {
+            let is_absent = |v: &&Vector3<f64>| v.iter().any(|axis| !axis.is_finite());
+            let absent = force.v.iter().filter(is_absent).count();
+            let Some(first) = force.v.iter().position(|v| is_absent(&v)) else {
+                continue;
             };
+            let at_s = force.t[first].s();
+            places.push(if force.len() - first == absent {
+                format!("sensor {sensor} (from 0) from {at_s:.2} s on")
+            } else {
+                let samples = counted(absent, "sample");
+                format!("{samples} of sensor {sensor} (from 0), first at {at_s:.2} s")
+            });
+        }
+        if !places.is_empty() {
+            self.remarks.push(format!("no number, left out there: {}", places.join("; ")));
+        }
+    }
+
+    /// Makes what is beyond any accelerometer's full scale not a number, and remarks it, but for outputs that are known to
+    /// be at their limit.
+    fn leave_out_beyond(&mut self) {
+        let (mut count, mut first) = (0, Ns(i64::MAX));
+        for ArrayUnit { force, .. } in &mut self.units {
+            for ((time, output), flags) in force.t.iter().zip(&mut force.v).zip(&force.flags) {
+                if !flags.is_saturated() && output.amax() > FULL_SCALE_MPS2 {
+                    output.fill(f64::NAN);
+                    count += 1;
+                    first = first.min(*time);
+                }
+            }
+        }
+        if count > 0 {
             self.remarks.push(format!(
-                "interpolated to common times: at most {:.4} m/s² rms wrong{missing}",
-                f64::sqrt(squares / count)
+                "more than any accelerometer's full scale, {FULL_SCALE_MPS2:.0} m/s², in {}, first at {:.2} s: left \
+                 out, as if they were missing",
+                counted(count, "output"),
+                first.s()
             ));
         }
     }
@@ -153,9 +172,14 @@ impl Array {
         let (from, to) = (times[1].after_s(most), times[count - 2].after_s(least));
         let kept: Vec<Ns> = times.into_iter().filter(|time| (from..to).contains(time)).collect();
         for (unit, delay_s) in self.units.iter_mut().zip(delays_s) {
-            unit.force = unit.force.retimed(|time| time.after_s(*delay_s));
+            let late = unit.force.retimed(|time| time.after_s(*delay_s));
+            let values = late.on(kept.iter().copied(), Interp::Cubic);
+            unit.force = Series::flagged(kept.iter().zip(values).map(|(time, at)| {
+                at.map_or((*time, Vector3::repeat(f64::NAN), Flags::NONE), |at| {
+                    (*time, at.value, at.flags)
+                })
+            }));
         }
-        self.interpolate(&kept);
     }
 
     /// Times of the samples.
@@ -217,25 +241,23 @@ impl Array {
     }
 }
 
-/// Times of the slowest sensor at which all have samples.
-fn common_times(units: &[ArrayUnit]) -> Result<Vec<Ns>> {
-    let series = || units.iter().map(|unit| &unit.force);
-    let slowest = series().max_by(|a, b| a.period_s().total_cmp(&b.period_s()));
-    let spans = || series().filter_map(Series::span);
-    let (from, to) = (spans().map(|[from, _]| from).max(), spans().map(|[_, to]| to).min());
-    let begin = spans().map(|[from, _]| from).min().unwrap_or_default();
-    let (from, to) = (from.unwrap_or_default(), to.unwrap_or_default());
-    let times = slowest.into_iter().flat_map(|series| &series.t).copied();
-    let times: Vec<Ns> = times.filter(|time| (from..=to).contains(time)).collect();
-    if times.len() >= FEWEST {
-        return Ok(times);
+impl ArrayUnit {
+    /// The accelerometer of a track at the times of another one.
+    fn of_track(force: &Track, time: &Track, given_lsb_per_g: Option<f64>) -> Self {
+        let lsb_per_g = match force.info.unit {
+            Unit::Counts { si_per_lsb } => {
+                let own = si_per_lsb.map(|si| STANDARD_GRAVITY_MPS2 / si);
+                Some(given_lsb_per_g.or(own).unwrap_or(SENSITIVITY_LSB_PER_G))
+            }
+            _ => None,
+        };
+        let factor = lsb_per_g.map_or(1.0, |lsb_per_g| STANDARD_GRAVITY_MPS2 / lsb_per_g);
+        let values = force.beside(time);
+        let rows = time.times_ns().iter().enumerate().map(|(row, time_ns)| {
+            let value = Vector3::from(values.at(row, *time_ns).unwrap_or([f64::NAN; 3]));
+            let flags = Flags::saturated(lsb_per_g.is_some() && value.amax() >= LIMIT_COUNTS);
+            (Ns(*time_ns), value * factor, flags)
+        });
+        Self { force: Series::flagged(rows), sensitivity_lsb_per_g: lsb_per_g }
     }
-    let message = format!(
-        "the boards' recordings have no time in common: from the first, the last begins after {:.1} s and one ends after \
-         {:.1} s",
-        from.since_s(begin),
-        to.since_s(begin)
-    );
-    let remedy = "record all boards at once, on one computer or on computers whose clocks agree";
-    Err(Code::DataRefused.error(message, remedy))
 }

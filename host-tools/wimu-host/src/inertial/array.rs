@@ -2,7 +2,7 @@
 
 use wimu_nav::array::ArrayState;
 
-use super::truth::{Nees, compare, heading_rad, moving, nees};
+use super::truth::{Nees, compare, moving, nees};
 use super::{Choice, InertialPath, Method, PathPoint};
 use crate::array::{Agreement, Array, ArrayBody, ArrayCalibration, ArrayGeometry};
 use crate::imu::LIKELY;
@@ -146,31 +146,13 @@ fn path_of(
     let moving = moving(&recording.times_s(), column.as_deref(), &truth, &true_rate);
     compare(&mut path, &truth, &moving);
     let valid = |k: &usize| path.points[*k].valid && moving.get(*k).is_some_and(|moves| *moves);
-    let vector_nees = |truth: &[Option<[f64; 3]>],
-                       of: &dyn Fn(usize) -> ([f64; 3], [[f64; 3]; 3])| {
-        let of_sample = |k: usize| {
-            let (true_value, (value, covariance)) = (truth[k]?, of(k));
-            let error = std::array::from_fn(|i| value[i] - true_value[i]);
-            Some(nees(error, covariance)).filter(|v| v.is_finite())
-        };
-        (0..truth.len()).filter(valid).filter_map(of_sample).collect::<Vec<f64>>()
+    let of_sample = |k: usize| {
+        let (true_rate, state) = (true_rate[k]?, &states[k]);
+        let error = std::array::from_fn(|i| state.rate_rad_s[i] - true_rate[i]);
+        Some(nees(error, state.rate_covariance)).filter(|v| v.is_finite())
     };
-    let rate_nees = vector_nees(&true_rate, &|k| (states[k].rate_rad_s, states[k].rate_covariance));
-    // The path's heading begins at its own zero.
-    let turn = truth.iter().zip(&path.points).find_map(|(truth, point)| {
-        let by = heading_rad(truth.as_ref()?.quaternion) - heading_rad(point.quaternion);
-        (point.valid && by.is_finite()).then(|| by.sin_cos())
-    });
-    let (sin, cos) = turn.unwrap_or((0.0, 1.0));
-    let true_velocity = recording.beside(&recording.reference.velocity_mps);
-    let true_velocity: Vec<Option<[f64; 3]>> = true_velocity
-        .into_iter()
-        .map(|v| v.map(|[e, n, u]| [cos * e + sin * n, cos * n - sin * e, u]))
-        .collect();
-    let velocity_nees =
-        vector_nees(&true_velocity, &|k| (states[k].velocity_mps, states[k].velocity_covariance));
+    let rate_nees = (0..true_rate.len()).filter(valid).filter_map(of_sample).collect();
     let is_heading_fitted = path.nees.is_heading_fitted;
     path.rate_nees = Nees { all: rate_nees, is_heading_fitted };
-    path.velocity_nees = Nees { all: velocity_nees, is_heading_fitted };
     Ok(path.assumed(choice))
 }

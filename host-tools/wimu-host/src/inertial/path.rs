@@ -201,8 +201,6 @@ pub struct InertialPath {
     pub nees: Nees,
     /// NEES of an array's angular rate at each valid sample that moves, where the truth tells it.
     pub rate_nees: Nees,
-    /// That of its velocity.
-    pub velocity_nees: Nees,
     /// Where the unit truly was, m, in the path's axes, at each sample that has truth; empty without.
     #[serde(skip)]
     pub truth_m: Vec<Option<[f64; 3]>>,
@@ -232,7 +230,6 @@ impl InertialPath {
             ranging: None,
             nees: Nees::default(),
             rate_nees: Nees::default(),
-            velocity_nees: Nees::default(),
             truth_m: Vec::new(),
             findings: Vec::new(),
         }

@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-use super::horizon::Horizon;
 use super::truth::consistency;
 use super::{AidUse, Choice, InertialPath, Method, Move, PathPoint, Profile, Zupt};
 use crate::digits::{east_north_up, significant};
@@ -57,15 +56,6 @@ pub struct Horizons {
     to_1_m_s: Option<f64>,
     limit_m: f64,
     to_limit_s: Option<f64>,
-    /// The same with the time in the recording.
-    ends: Vec<End>,
-}
-
-#[derive(Clone, Debug, Serialize)]
-struct End {
-    limit_m: f64,
-    #[serde(flatten)]
-    horizon: Horizon,
 }
 
 impl InertialPath {
@@ -84,10 +74,6 @@ impl InertialPath {
         let points = &self.points;
         let (last, rests) = (points.last(), self.rests());
         let sigmas = points.iter().map(PathPoint::sd_m);
-        let ends = self.limits().into_iter().filter_map(|limit_m| {
-            let horizon = self.horizon(limit_m)?;
-            Some(End { limit_m, horizon })
-        });
         let valid = points.iter().filter(|point| point.valid).count();
         self.figures = Figures {
             angular_rate: self.angular_rate(),
@@ -104,7 +90,6 @@ impl InertialPath {
                 to_1_m_s: self.horizon_s(1.0),
                 limit_m: self.limit_m,
                 to_limit_s: self.horizon_s(self.limit_m),
-                ends: ends.collect(),
             },
             rests: rests.rests,
             rests_s: rests.lasted_s,
@@ -257,11 +242,7 @@ impl InertialPath {
             text += &ranging_text(ranging, self.method);
         }
         let fitted = if self.nees.is_heading_fitted { ", heading fitted" } else { "" };
-        for (what, nees) in [
-            ("", &self.nees),
-            ("angular rate, ", &self.rate_nees),
-            ("velocity, ", &self.velocity_nees),
-        ] {
+        for (what, nees) in [("", &self.nees), ("angular rate, ", &self.rate_nees)] {
             if let Some((median, share)) = consistency(&nees.all) {
                 text += &format!(
                     "against the truth{fitted}, in motion: {what}NEES median {median:.2} (expected 2.37), below 7.81 in {:.0} % (expected \

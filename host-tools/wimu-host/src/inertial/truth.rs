@@ -39,7 +39,7 @@ pub fn consistency(nees: &[f64]) -> Option<(f64, f64)> {
 }
 
 /// Heading of the rotation from body to navigation axes: angle of body x from east towards north, rad.
-pub(super) fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
+fn heading_rad([w, x, y, z]: [f64; 4]) -> f64 {
     (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 

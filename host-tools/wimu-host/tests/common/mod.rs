@@ -2,15 +2,11 @@
 
 use std::path::Path;
 
-use wimu_host::array::{Array, ArrayUnit, UnitOptions};
+use wimu_host::array::{Array, ArrayUnit};
 use wimu_host::formats::{ReadOptions, load};
 use wimu_host::imu::{Imu, ImuOptions};
 use wimu_host::series::{Flags, Ns};
 pub use wimu_testkit::Random;
-
-/// As `wimu navigate` reads an array.
-pub const UNITS: UnitOptions =
-    UnitOptions { sensitivity_lsb_per_g: 2048.0, link: None, raw: false };
 
 /// The samples of a file of one unit.
 pub fn read(file: &Path) -> wimu_host::Result<Imu> {

@@ -33,8 +33,7 @@ pub struct Calibrate {
     pub input: String,
     /// Further sessions of the same sensor
     ///
-    /// Further sessions of the same sensor: their parameters are combined, with the change between sessions. With
-    /// --setup: recordings of further boards on the same body, in the order of the geometry
+    /// Further sessions of the same sensor: their parameters are combined, with the change between sessions
     #[arg(value_name = "FILE")]
     pub more: Vec<PathBuf>,
 

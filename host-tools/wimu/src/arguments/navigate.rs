@@ -26,7 +26,6 @@ Examples:
   wimu navigate raw.csv --with CAL.json
   wimu navigate board.csv --setup geometry=positions.csv -o path.csv
   wimu navigate board.csv --setup geometry=four:30mm
-  wimu navigate a.mcap b.mcap c.mcap d.mcap --setup geometry=boards.json
   wimu navigate ranges.csv --setup anchors=anchors.csv --odometry wheels.csv
   wimu navigate imu.csv --ranges ranges.csv --setup anchors=anchors.csv
   wimu navigate fine.csv coarse.csv --setup full_scales_g=[2,16]
@@ -53,8 +52,7 @@ pub struct Navigate {
     pub updates: Option<f64>,
     /// Further recordings of one body
     ///
-    /// Recordings of further boards on the same body, in the order of the geometry; of the coarser accelerometers; with
-    /// --relative that of the second unit
+    /// Recordings of the coarser accelerometers; with --relative that of the second unit
     #[arg(value_name = "BOARD")]
     pub boards: Vec<PathBuf>,
 

@@ -112,13 +112,12 @@ const EXCLUDE: [(&str, &[&str]); 4] = [
 ];
 
 /// Those that need another.
-const NEED: [(&str, &[&str]); 10] = [
+const NEED: [(&str, &[&str]); 9] = [
     ("ranges", &["anchors"]),
     ("range_errors", &["anchors"]),
     ("survey_m", &["anchors"]),
     ("fix_delay_s", &["fixes", "ranges"]),
     ("fix_time_sd_s", &["fixes", "ranges"]),
-    ("refine", &["geometry"]),
     ("place_sd_mm", &["geometry"]),
     ("delay_sd_us", &["geometry"]),
     ("hinge", &["relative"]),
@@ -182,7 +181,7 @@ fn not_over_input(name: &str, matches: &ArgMatches, parsed: &Command) -> Result<
         let raw = ids.iter().filter_map(|id| matches.try_get_raw(id).ok()?);
         raw.flatten().map(PathBuf::from).collect()
     };
-    let (mut inputs, mut outputs) = (files(&INPUT_FILES), files(&["output", "report"]));
+    let (mut inputs, outputs) = (files(&INPUT_FILES), files(&["output", "report"]));
     // `calibrate` and `align` may replace the calibration that they update.
     if !matches!(name, "calibrate" | "align") {
         inputs.extend(files(&["with"]));
@@ -190,7 +189,6 @@ fn not_over_input(name: &str, matches: &ArgMatches, parsed: &Command) -> Result<
     if let Command::Navigate(navigate) = parsed {
         let setup = &navigate.aids.setup;
         inputs.extend([&setup.anchors, &setup.geometry].into_iter().flatten().cloned());
-        outputs.extend(setup.refine.clone());
     }
     if let Command::Calibrate(calibrate) = parsed {
         inputs.extend(Setup::read(&calibrate.setup).ok().and_then(|setup| setup.geometry));
@@ -263,9 +261,9 @@ fn of_navigation(given: &[&str], has_boards: bool) -> Result<()> {
             return Err(usage(message, remedy));
         }
     }
-    let several = ["geometry", "full_scales_g", "relative"];
+    let several = ["full_scales_g", "relative"];
     if has_boards && !several.iter().any(|option| given.contains(option)) {
-        let remedy = "add --relative, or `--setup geometry=FILE` or `full_scales_g=[G,G]`";
+        let remedy = "add --relative, or `--setup full_scales_g=[G,G]`";
         return Err(usage("several recordings are given for one unit", remedy));
     }
     Ok(())

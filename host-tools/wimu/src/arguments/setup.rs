@@ -33,8 +33,6 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 # σ of its positions, mm, and of the sensors' delays, µs:
 #place_sd_mm = 0.5
 #delay_sd_us = 300
-# Estimate positions and delays and write them to this file. Kept only if they improve the held-out half:
-#refine = "GEOMETRY.json"
 
 # Full scale of each accelerometer of one body, ± g: they are merged into one. A recording of wimu has them.
 #full_scales_g = [2, 16]
@@ -46,7 +44,7 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 "#;
 
 /// Keys whose value is a path, which is relative to the folder of the file.
-const PATHS: [&str; 3] = ["anchors", "geometry", "refine"];
+const PATHS: [&str; 2] = ["anchors", "geometry"];
 
 /// What [`EXAMPLE`] explains.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -62,7 +60,6 @@ pub struct Setup {
     pub geometry: Option<PathBuf>,
     pub place_sd_mm: Option<f64>,
     pub delay_sd_us: Option<f64>,
-    pub refine: Option<PathBuf>,
     pub full_scales_g: Vec<f64>,
     pub hinge: Option<[f64; 3]>,
     pub magnetometers: bool,

@@ -13,6 +13,7 @@ use serde::Serialize;
 use wimu_host::calibration::read_parameters;
 use wimu_host::capture::{Boot, Capture, Link};
 use wimu_host::digits::{signed, significant};
+use wimu_host::inertial::InertialPath;
 use wimu_host::navigation::{self, Point};
 use wimu_host::plural::counted;
 use wimu_host::replay::{self, ReplayReport};
@@ -30,7 +31,7 @@ struct Navigated {
     /// One entry for each start of the device.
     starts: Vec<Start>,
     /// Path of the longest start with its uncertainty; null if there is none.
-    path: Option<inertial::Found>,
+    path: Option<InertialPath>,
 }
 
 #[derive(Serialize)]
@@ -174,7 +175,7 @@ fn path(
     calibration: Option<&ParameterSet>,
     name: &str,
     output: &Output,
-) -> Result<Option<inertial::Found>> {
+) -> Result<Option<InertialPath>> {
     let Some(boot) = link.longest() else {
         return Ok(None);
     };

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
 use wimu_host::calibration::{Calibration, read_parameters};
 use wimu_host::capture::Capture;
 use wimu_host::formats;
@@ -15,17 +14,7 @@ use wimu_host::{Code, Input, Problem, Result, navigation};
 
 use super::array;
 use crate::arguments::{Aids as Options, Navigate, Smoothing, ZeroVelocity};
-use crate::command::array::Refined;
 use crate::output::{Output, usage};
-
-/// A path, and what refined the geometry of an array.
-#[derive(Serialize)]
-pub struct Found {
-    #[serde(flatten)]
-    path: InertialPath,
-    /// Of an array.
-    refined: Option<Refined>,
-}
 
 /// Navigates a recording of one unit, or an array.
 pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
@@ -33,10 +22,8 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let found = match &arguments.aids.setup.geometry {
         Some(geometry) => {
             let choice = choice(arguments)?;
-            let (path, refined) = array::path(arguments, geometry, &choice, output)?;
-            let mut found = present(arguments, path, None, Some(&choice), source, output)?;
-            found.refined = refined;
-            found
+            let path = array::path(arguments, geometry, &choice)?;
+            present(arguments, path, None, Some(&choice), source, output)?
         }
         None => {
             let motion = calibrated(arguments, &arguments.input, arguments.with.first())?;
@@ -99,7 +86,7 @@ pub fn one_unit(
     recording: &Imu,
     source: String,
     output: &Output,
-) -> Result<Found> {
+) -> Result<InertialPath> {
     let choice = choice(arguments)?;
     let path = navigate(recording, &choice)?;
     present(arguments, path, None, Some(&choice), source, output)
@@ -153,7 +140,7 @@ pub fn present(
     choice: Option<&Choice>,
     source: String,
     output: &Output,
-) -> Result<Found> {
+) -> Result<InertialPath> {
     let text = path.text(choice, arguments.aids.fixes.is_some());
     output.print(text.trim_end());
     output.findings(new.unwrap_or(&path.findings));
@@ -166,5 +153,5 @@ pub fn present(
         path.page(&source, &text, &fixes).write(file)?;
         output.print(format!("wrote {}", file.display()));
     }
-    Ok(Found { path: InertialPath { source, ..path }, refined: None })
+    Ok(InertialPath { source, ..path })
 }

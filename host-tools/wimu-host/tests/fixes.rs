@@ -1,12 +1,9 @@
 //! Fixes of position, velocity and heading beside a unit on a known path.
 
-use wimu_host::Problem;
 use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::aids::Mounting;
 use wimu_host::inertial::aids::position::POSITION;
-use wimu_host::inertial::{
-    Aid, Aids, Choice, InertialPath, LeastDelay, Live, PathPoint, StartPose, navigate,
-};
+use wimu_host::inertial::{Aid, Aids, Choice, InertialPath, LeastDelay, Live, PathPoint, navigate};
 use wimu_host::series::Ns;
 use wimu_testkit::Random;
 
@@ -286,31 +283,13 @@ fn a_stream_has_the_path_of_its_recording_though_fixes_are_late() {
 }
 
 #[test]
-fn late_fixes_without_their_delay_name_it() {
-    for late_s in [2.0, 1.0] {
-        let (recording, fixes) = recorded(0.0, late_s);
-        let choice = |fixes| Choice {
-            start: Some(StartPose { position_m: [100.0, -50.0, 7.0], heading_rad: Some(HEADING) }),
-            ..aided(fixes, 0.0)
-        };
-        let path = navigate(&recording, &choice(fixes)).unwrap();
-        let remedy = |path: &InertialPath| {
-            let named = |f: &&Problem| f.remedy.contains("a delay of");
-            path.findings.iter().find(named).map(|f| f.remedy.clone())
-        };
-        let named = remedy(&path).unwrap_or_else(|| panic!("{:?}", path.findings));
-        println!("{named}");
-        let delay_s: f64 = named.split(' ').nth(4).unwrap().parse().unwrap();
-        assert!((0.5..2.0).contains(&(delay_s / late_s)), "{named}");
-    }
-    // A wrong fix is not late.
+fn wrong_fixes_are_counted() {
     let (recording, mut fixes) = recorded(0.0, 0.0);
     for k in [12, 20, 30] {
         fixes[k].value[k % 2] += 30.0;
     }
     let path = navigate(&recording, &aided(fixes, 0.0)).unwrap();
     assert!(says(&path, "3 of 37 fixes"), "{:?}", path.findings);
-    assert!(!path.findings.iter().any(|f| f.remedy.contains("a delay of")));
 }
 
 #[test]

@@ -14,7 +14,7 @@ use super::aids::{Aid, Kind, State, Update};
 use super::path::StateFound;
 use super::segments::Segments;
 use super::smooth::Tape;
-use super::uses::{AidUse, Lag, Suspects};
+use super::uses::{AidUse, Suspects};
 use super::{Move, PathPoint, Residual, vehicle};
 use crate::localization::{AnchorStates, Increment};
 use crate::plural::counted;
@@ -103,7 +103,6 @@ pub(crate) struct Navigator {
     pub jumps_s: Vec<f64>,
     last_position_s: Option<f64>,
     suspects: Suspects,
-    lag: Lag,
     no_time: usize,
     not_finite: usize,
     /// Where the smoother is not used across.
@@ -135,7 +134,6 @@ impl Navigator {
             jumps_s: Vec::new(),
             last_position_s: None,
             suspects: Suspects::default(),
-            lag: Lag::default(),
             no_time: 0,
             not_finite: 0,
             contradictions: 0,
@@ -300,9 +298,6 @@ impl Navigator {
             self.last_position_s = Some(aid.time_s);
             self.segments.see_fix(&found.innovation);
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
-            if !accepted {
-                self.lag.see(&off, &solution.velocity_mps.into());
-            }
         }
         let is_range = *aid.kind == RANGE;
         if is_range || (is_position && accepted) {
@@ -385,7 +380,7 @@ impl Navigator {
         ];
         let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
         for used in self.uses.values() {
-            found.extend(used.finding(self.lag.delay_s()));
+            found.extend(used.finding());
         }
         found.extend(self.anchors.as_ref().and_then(|anchors| self.suspects.finding(anchors)));
         found.extend(self.jumps());

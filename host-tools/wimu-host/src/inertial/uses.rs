@@ -1,11 +1,7 @@
-//! What happened to aids, and what rejected ones have in common: an anchor, or a delay.
+//! What happened to aids, and anchors whose ranges contradict the path.
 
-use nalgebra::Vector3;
-
-use super::aids::position::POSITION;
 use super::aids::range::RANGE;
 use super::aids::{Aid, Kind, several};
-use crate::digits::significant;
 use crate::localization::AnchorStates;
 use crate::{Code, Problem};
 
@@ -52,8 +48,8 @@ impl AidUse {
         format!("{}: {used} used, {rejected} rejected, {late} late\n", several(kind.one))
     }
 
-    /// What is said of rejected ones; `delay_s` would explain those of the position.
-    pub(super) fn finding(&self, delay_s: Option<f64>) -> Option<Problem> {
+    /// What is said of rejected ones.
+    pub(super) fn finding(&self) -> Option<Problem> {
         let (rejected, all) = (self.rejected, self.used + self.rejected);
         if all + self.late == 0 {
             let text = format!("the {} are not used", several(self.kind.one));
@@ -73,14 +69,7 @@ impl AidUse {
             "{rejected} of {all} {} rejected: their innovations exceed the limit of the test",
             several(self.kind.one)
         );
-        let remedy = match delay_s.filter(|_| *self.kind == POSITION) {
-            Some(delay_s) => format!(
-                "a delay of about {} s explains most of them: try --setup fix_delay_s=S",
-                significant(delay_s, 2)
-            ),
-            None => self.kind.remedy.to_owned(),
-        };
-        Some(Code::Navigation.warning(text).remedy(remedy).between(first, last))
+        Some(Code::Navigation.warning(text).remedy(self.kind.remedy).between(first, last))
     }
 }
 
@@ -119,37 +108,5 @@ impl Suspects {
         );
         let remedy = "they have little weight; correct its position in the anchors";
         (!named.is_empty()).then(|| Code::Residuals.warning(text).remedy(remedy))
-    }
-}
-
-/// Speed above which a position shows a delay, m/s.
-const SPEED_MPS: f64 = 0.3;
-/// Rejected fixes that show a delay at least, and the part of their squared innovations that it explains.
-const LEAST: usize = 3;
-const EXPLAINED: f64 = 0.6;
-
-/// Sums over rejected fixes: the delay that explains their innovations r along the velocity v, −Σ r·v / Σ v². Equation (173).
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Lag {
-    count: usize,
-    product: f64,
-    speed: f64,
-    square: f64,
-}
-
-impl Lag {
-    pub fn see(&mut self, innovation_m: &Vector3<f64>, velocity_mps: &Vector3<f64>) {
-        if velocity_mps.norm() > SPEED_MPS {
-            self.count += 1;
-            self.product += innovation_m.dot(velocity_mps);
-            self.speed += velocity_mps.norm_squared();
-            self.square += innovation_m.norm_squared();
-        }
-    }
-
-    /// s.
-    pub fn delay_s(&self) -> Option<f64> {
-        let explained = self.product * self.product / (self.speed * self.square);
-        (self.count >= LEAST && explained > EXPLAINED).then(|| -self.product / self.speed)
     }
 }

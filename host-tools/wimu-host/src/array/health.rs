@@ -1,23 +1,13 @@
 //! Faults of the sensors of an array: stopped outputs, and outputs at the end of their range.
 
 use nalgebra::Vector3;
-use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::Array;
+use super::{Array, ArrayUnit};
+use crate::inertial::clipped;
 use crate::series::Flags;
 
 /// Shortest constant output of a stopped sensor while most others change in each sample, samples.
 const STOPPED_SAMPLES: usize = 64;
-/// Fewest samples at the end of the range.
-const LIMIT_SAMPLES: usize = 4;
-/// Width of the band below the end of the range that is compared with it, relative to the largest output.
-const NEAR_LIMIT: f64 = 0.02;
-/// Least width of that band, steps of the output.
-const NEAR_STEPS: f64 = 3.0;
-/// Lowest range of a sensor, g.
-const LEAST_LIMIT: f64 = 1.08;
-/// Least ratio of the ranges of two sensors of one array.
-const ALIKE: f64 = 0.8;
 
 /// Same value but for rounding.
 fn same(a: f64, b: f64) -> bool {
@@ -25,8 +15,7 @@ fn same(a: f64, b: f64) -> bool {
 }
 
 impl Array {
-    /// Leaves out the constant outputs of stopped sensors. Marks samples at the end of the range: the largest output, if it is
-    /// more frequent than those just below it. Remarks report each.
+    /// Leaves out the constant outputs of stopped sensors, and marks samples at a full scale. Remarks report each.
     #[must_use]
     pub fn judged(mut self) -> Self {
         self.leave_out_stopped();
@@ -82,77 +71,22 @@ impl Array {
     }
 
     fn find_limits(&mut self) {
-        let mut found: Vec<(usize, usize, f64)> = Vec::new();
-        let mut rest = Vec::new();
-        for sensor in 0..self.sensors() {
-            for axis in 0..3 {
-                for sign in [-1.0, 1.0] {
-                    let values = || {
-                        let all =
-                            self.units[sensor].force.v.iter().map(|output| sign * output[axis]);
-                        all.filter(|v| v.is_finite())
-                    };
-                    let largest = values().fold(f64::NEG_INFINITY, f64::max);
-                    let shows = is_limit(largest, &values);
-                    let list = if shows { &mut found } else { &mut rest };
-                    list.push((sensor, axis, sign * largest));
-                }
-            }
-        }
-        let largest = found.iter().map(|(.., v)| v.abs()).fold(0.0, f64::max);
-        found.retain(|(.., limit)| limit.abs() >= ALIKE * largest);
-        if found.is_empty() {
-            return;
-        }
-        // Others that reach the very same value were there too, if less often.
-        let shown: Vec<f64> = found.iter().map(|(.., v)| v.abs()).collect();
-        rest.retain(|(.., v)| shown.iter().any(|limit| same(v.abs(), *limit)));
-        found.extend(rest);
         let mut marked = vec![false; self.len()];
-        for (sensor, axis, limit) in &found {
-            let force = &mut self.units[*sensor].force;
-            for ((output, flags), marked) in force.v.iter().zip(&mut force.flags).zip(&mut marked) {
-                let is_beyond = output[*axis] * limit.signum() >= limit.abs() * (1.0 - 1e-9);
-                *marked |= is_beyond && !flags.is_saturated();
-                *flags |= Flags::saturated(is_beyond);
+        let mut sensors = Vec::new();
+        for (sensor, ArrayUnit { force, .. }) in self.units.iter_mut().enumerate() {
+            let clipped = clipped(&force.v);
+            for k in clipped.iter().filter(|k| !force.flags[**k].is_saturated()) {
+                marked[*k] = true;
+                sensors.push(sensor);
             }
+            clipped.iter().for_each(|k| force.flags[*k] |= Flags::saturated(true));
         }
+        sensors.dedup();
         let marked = marked.iter().filter(|is_marked| **is_marked).count();
         if marked > 0 {
-            let mut sensors: Vec<usize> = found.iter().map(|(sensor, ..)| *sensor).collect();
-            sensors.sort_unstable();
-            sensors.dedup();
             self.remarks.push(format!(
-                "sensors {sensors:?} (from 0) repeat outputs of up to {largest:.2} m/s² and none beyond: taken \
-                 for their limit, {marked} samples"
+                "sensors {sensors:?} (from 0) are at their full scale in {marked} samples"
             ));
         }
     }
-}
-
-/// Whether the largest of values looks like a limit.
-fn is_limit<I: Iterator<Item = f64>>(largest: f64, values: &dyn Fn() -> I) -> bool {
-    if !(largest.is_finite() && largest > LEAST_LIMIT * STANDARD_GRAVITY_MPS2) {
-        return false;
-    }
-    let mut last = f64::NAN;
-    let mut step = f64::INFINITY;
-    let (mut at, mut on_end) = (0, false);
-    for value in values() {
-        let change = (value - last).abs();
-        if change > 1e-9 * largest {
-            step = step.min(change);
-        }
-        if same(value, largest) {
-            at += 1;
-            on_end |= same(value, last);
-        }
-        last = value;
-    }
-    if at < LIMIT_SAMPLES || !on_end {
-        return false;
-    }
-    let below = largest - (NEAR_LIMIT * largest).max(NEAR_STEPS * step);
-    let near = values().filter(|v| *v >= below && !same(*v, largest));
-    at > 2 * near.count()
 }

@@ -1,8 +1,11 @@
-//! Where an accelerometer goes on giving its last value: nothing was measured there.
+//! Where an axis goes on giving its last value: nothing was measured there.
 
 use std::ops::Range;
 
-use crate::imu::Imu;
+use nalgebra::Vector3;
+
+use crate::imu::{Imu, Sample};
+use crate::plural::counted;
 use crate::stats::median;
 
 /// Second differences of an axis whose noise is more than a step are, in the median, more than so many steps: 1.65 σ of
@@ -12,48 +15,95 @@ const NOISY_STEPS: f64 = 2.0;
 /// forty million.
 const REPEATS: usize = 16;
 
-/// The samples that repeat, on all axes, the one before for longer than a sampling hold explains: none where the
-/// accelerometer's noise at rest does not show, as of coarse steps, for it repeats itself then.
-pub(super) fn runs(recording: &Imu) -> Vec<Range<usize>> {
-    let samples = &recording.samples.v;
-    let mut alike: Vec<Range<usize>> = Vec::new();
-    for (k, sample) in samples.iter().enumerate() {
-        match alike.last_mut() {
-            Some(run) if samples[run.start].force_mps2 == sample.force_mps2 => run.end = k + 1,
-            _ => alike.push(k..k + 1),
-        }
-    }
-    // A slower accelerometer holds each of its samples.
-    let mut held: Vec<usize> = alike.iter().map(ExactSizeIterator::len).collect();
-    held.sort_unstable();
-    let Some(held) = held.get(held.len() / 2) else {
-        return Vec::new();
-    };
-    let is_long = |run: &Range<usize>| run.len() > REPEATS * held;
-    if !alike.iter().any(is_long) {
-        return Vec::new();
-    }
-    let Some((still, _)) = recording.still_seconds().into_iter().next() else {
-        return Vec::new();
-    };
-    let there = alike.iter();
-    let there = there.filter(|run| still.contains(&run.start));
-    let there: Vec<Range<usize>> = there.cloned().collect();
-    if there.iter().any(is_long) || !(0..3).any(|axis| is_noisy(recording, &alike, &there, axis)) {
-        return Vec::new();
-    }
-    let long = alike.into_iter().filter(is_long);
-    long.map(|run| run.start + held..run.end).collect()
+/// What a sensor gives in a sample.
+pub(super) type Sense = fn(&Sample) -> Option<Vector3<f64>>;
+
+/// Samples in which axes of a sensor repeat their last value, and what to say of them.
+pub(super) struct Frozen {
+    pub samples: Vec<usize>,
+    pub text: String,
 }
 
-/// Whether an axis's noise in `quiet` is more than its steps, as they are in `all`.
-fn is_noisy(recording: &Imu, all: &[Range<usize>], quiet: &[Range<usize>], axis: usize) -> bool {
-    let value = |run: &Range<usize>| recording.samples.v[run.start].force_mps2[axis];
-    let changes = all.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
-    let step = changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min);
-    let second = |three: &[Range<usize>]| {
-        (value(&three[0]) - 2.0 * value(&three[1]) + value(&three[2])).abs()
-    };
-    let middle = median(quiet.windows(3).map(second));
-    middle.is_some_and(|middle| middle > NOISY_STEPS * step)
+impl Frozen {
+    /// Of a sensor: `None` where no axis repeats itself for longer than a sampling hold explains, or where its noise at rest
+    /// does not show, as of coarse steps, for it repeats itself then. Of an axis that never changes, that of the others counts.
+    pub fn of(recording: &Imu, sensor: &str, sense: Sense) -> Option<Self> {
+        let axes = [0, 1, 2].map(|axis| Axis::of(recording, sense, axis));
+        if !axes.iter().any(Axis::has_long_runs) {
+            return None;
+        }
+        let quiet: Vec<Range<usize>> =
+            recording.still_seconds().into_iter().map(|(second, _)| second).collect();
+        let noisy = axes.each_ref().map(|axis| axis.is_noisy(&quiet));
+        let (mut names, mut frozen) = (Vec::new(), vec![false; recording.samples.len()]);
+        for (k, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.has_long_runs()) {
+            if noisy[k] || (axis.runs.len() == 1 && noisy.contains(&true)) {
+                names.push(["X", "Y", "Z"][k]);
+                axis.long_runs().for_each(|run| frozen[run.start + axis.held..run.end].fill(true));
+            }
+        }
+        let samples: Vec<usize> = (0..frozen.len()).filter(|k| frozen[*k]).collect();
+        let from_s = recording.samples.t[*samples.first()?].s();
+        let text = format!(
+            "{sensor} {} gives one and the same value, without noise, from {from_s:.2} s on, in {}",
+            names.join(", "),
+            counted(samples.len(), "sample")
+        );
+        Some(Self { samples, text })
+    }
+}
+
+/// An axis of a sensor.
+struct Axis {
+    values: Vec<f64>,
+    /// Runs of equal values.
+    runs: Vec<Range<usize>>,
+    /// Samples for which a slower sensor holds each of its values.
+    held: usize,
+}
+
+impl Axis {
+    fn of(recording: &Imu, sense: Sense, axis: usize) -> Self {
+        let samples = recording.samples.v.iter();
+        let values: Vec<f64> = samples.map(|s| sense(s).map_or(f64::NAN, |v| v[axis])).collect();
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for (k, value) in values.iter().enumerate() {
+            match runs.last_mut() {
+                Some(run) if values[run.start] == *value => run.end = k + 1,
+                _ => runs.push(k..k + 1),
+            }
+        }
+        let mut lengths: Vec<usize> = runs.iter().map(ExactSizeIterator::len).collect();
+        lengths.sort_unstable();
+        let held = if runs.len() > 1 { lengths[lengths.len() / 2] } else { 1 };
+        Self { values, runs, held }
+    }
+
+    fn long_runs(&self) -> impl Iterator<Item = &Range<usize>> {
+        self.runs.iter().filter(|run| run.len() > REPEATS * self.held)
+    }
+
+    fn has_long_runs(&self) -> bool {
+        self.long_runs().next().is_some()
+    }
+
+    /// Whether its noise is more than its steps in the first quiet second in which it does not repeat itself.
+    fn is_noisy(&self, quiet: &[Range<usize>]) -> bool {
+        let value = |run: &Range<usize>| self.values[run.start];
+        let changes = self.runs.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
+        let step = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
+        let is_free = |second: &&Range<usize>| {
+            !self.long_runs().any(|run| run.start < second.end && second.start < run.end)
+        };
+        let Some(second) = quiet.iter().find(is_free) else {
+            return false;
+        };
+        let there = self.runs.partition_point(|run| run.start < second.start)
+            ..self.runs.partition_point(|run| run.start < second.end);
+        let bend = |three: &[Range<usize>]| {
+            (value(&three[0]) - 2.0 * value(&three[1]) + value(&three[2])).abs()
+        };
+        let middle = median(self.runs[there].windows(3).map(bend));
+        middle.is_some_and(|middle| middle > NOISY_STEPS * step)
+    }
 }

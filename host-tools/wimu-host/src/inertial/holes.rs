@@ -3,7 +3,8 @@
 
 use nalgebra::Vector3;
 
-use super::{InertialPath, PathPoint, frozen};
+use super::frozen::Frozen;
+use super::{InertialPath, PathPoint};
 use crate::imu::{Imu, Sample};
 use crate::plural::counted;
 use crate::series::{Flags, Series};
@@ -17,6 +18,9 @@ pub(crate) const FULL_SCALE_MPS2: f64 = 2000.0;
 const FULL_SCALE_RAD_S: f64 = 350.0;
 /// The same of a magnetometer, µT: ± 50 gauss (LSM303AGR, datasheet).
 const FULL_SCALE_UT: f64 = 5000.0;
+
+/// Fewest samples beside frozen ones.
+const FEWEST: usize = 10;
 
 /// Half width of the window that shows an outlier, samples: that of a Hampel identifier (R. K. Pearson, "Outliers in process
 /// modeling and identification", IEEE Trans. Control Syst. Technol. 10, 2002).
@@ -77,18 +81,15 @@ impl Holes {
         for k in outliers {
             left_out[k] = true;
         }
-        let frozen = frozen::runs(recording);
-        if let Some(first) = frozen.first() {
-            let count = frozen.iter().map(ExactSizeIterator::len).sum();
-            findings.push(Code::SamplesLeftOut.warning(format!(
-                "all axes of the accelerometer give one and the same value, without noise, from {:.2} s on, in {}: left \
-                 out, as if they were missing",
-                recording.samples.t[first.start].s(),
-                counted(count, "sample")
-            )));
-        }
-        for run in frozen {
-            left_out[run].fill(true);
+        let frozen = Frozen::of(recording, "accelerometer", |s| Some(s.force_mps2));
+        if let Some(Frozen { samples, text }) = frozen {
+            if samples.len() + FEWEST > recording.samples.len() {
+                let error = Code::DataRefused.error(text, "check the sensor and its wiring");
+                return Err(error.at(&recording.name));
+            }
+            let text = format!("{text}: left out, as if they were missing");
+            findings.push(Code::SamplesLeftOut.warning(text));
+            samples.iter().for_each(|k| left_out[*k] = true);
         }
         let some = !findings.is_empty();
         Ok(some.then_some(Self { left_out, findings }))

@@ -9,7 +9,7 @@ use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::aids::Aid;
 use super::navigator::{Carrier, Navigator, Step, counted_findings};
-use super::sense::{Senses, clipped};
+use super::sense::{Senses, clipped_samples};
 use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2};
 use super::{AidUse, Choice, InertialPath, Method, PathPoint, Residual, other_clock};
 use crate::imu::{Imu, Sample};
@@ -299,7 +299,7 @@ impl Live {
     /// The buffered samples as steps.
     fn steps(&self, begun: &Begun) -> Vec<Step> {
         let (times_s, samples) = (self.recording.times_s(), &self.recording.samples.v);
-        let (senses, clipped) = (&begun.senses, clipped(samples));
+        let (senses, clipped) = (&begun.senses, clipped_samples(samples));
         let unit = Unit::of(&self.recording, &times_s, samples, senses, &clipped, begun.noise_mps2);
         // What is buffered now may have no rest.
         let unit = Unit { gravity_mps2: begun.gravity_mps2, ..unit };

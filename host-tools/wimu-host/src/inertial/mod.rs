@@ -55,6 +55,7 @@ pub use live::Live;
 pub use moves::Move;
 pub(crate) use navigator::{Carrier, Navigator, Step};
 pub use path::{InertialPath, PathPoint, Residual, StateFound};
+pub(crate) use sense::clipped;
 pub use summary::{AngularRate, Figures, Horizons};
 pub use truth::{Nees, consistency, nees};
 pub(crate) use unit::{median_step_s, run};
@@ -234,6 +235,7 @@ fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
     if let Some(from) = senses.field_ends {
         samples[from..].iter_mut().for_each(|s| s.field_ut = None);
     }
+    senses.frozen_rates.iter().for_each(|k| samples[*k].rate_rad_s = None);
     let rates = rates::checked(recording)?;
     let from = if rates.as_ref().is_some_and(|found| found.contradicts) {
         Some(0)
@@ -277,11 +279,6 @@ fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
         path.findings.push(Code::Navigation.note(text));
     }
     path.findings.extend(rates.map(|found| found.finding));
-    if let Some(from) = senses.force_ends {
-        for point in &mut path.points[from..] {
-            point.valid = false;
-        }
-    }
     path.findings.splice(0..0, findings);
     Ok(path)
 }

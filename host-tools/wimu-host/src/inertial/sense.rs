@@ -1,9 +1,8 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
-use std::ops::Range;
-
 use nalgebra::Vector3;
 
+use super::frozen::{Frozen, Sense};
 use super::unit::median_step_s;
 use crate::digits::significant;
 use crate::imu::{Imu, Sample};
@@ -17,23 +16,16 @@ const NEAR: f64 = 0.1;
 const CALIBRATED: f64 = 0.02;
 /// |f| of a whole recording is, in the median, gravity within this factor.
 const FAR: f64 = 3.0;
-/// An axis that gives one value for so long, s, and in so many samples, ...
+/// A sensor that gives one value for so long, s, and in so many samples, ...
 const STUCK_S: f64 = 1.0;
 const STUCK_SAMPLES: usize = 50;
-/// ... while both others change, and one by more than this, is dead: m/s², rad/s.
-const MOVES_MPS2: f64 = 1.0;
-const MOVES_RAD_S: f64 = 0.3;
-/// A gyroscope that gives one value while gravity or the magnetic field, as large as before within this share,
+/// ... while gravity or the magnetic field, as large as before within this share,
 /// turns by more than this, rad: 20°, is dead.
 const AS_LARGE: f64 = 0.02;
 const TURNED_RAD: f64 = 0.35;
 
 /// Steps that a recording to navigate may have, s: beyond these its times are in another unit.
 const STEPS_S: std::ops::Range<f64> = 2e-5..0.25;
-/// Units of time and how many of them are a second.
-const TIME_UNITS: [(&str, f64); 4] = [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)];
-/// Steps that are usual, s.
-const USUAL_S: std::ops::Range<f64> = 2e-4..0.1;
 /// Of gravity, along z: face down.
 const FACE_DOWN: f64 = -0.7;
 /// Of the magnetic field, along gravity: it dips.
@@ -47,18 +39,12 @@ const CLIPS: usize = 3;
 
 /// A slow magnetometer's reading may be held for so long, s.
 const HELD_S: f64 = 3.0;
-/// An axis that repeats itself is dead where the others' noise is more than so many of its steps: it would show.
-const NOISY_STEPS: f64 = 2.0;
-
-/// What a sensor gives in a sample.
-type Sense = fn(&Sample) -> Option<Vector3<f64>>;
-
 /// What was found.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Senses {
-    /// From this sample on an axis of the accelerometer is dead.
-    pub force_ends: Option<usize>,
-    /// The same of the angular rate.
+    /// Samples in which an axis of the gyroscope repeats its last value.
+    pub frozen_rates: Vec<usize>,
+    /// From this sample on the gyroscope is dead.
     pub rate_ends: Option<usize>,
     /// The same of the magnetometer.
     pub field_ends: Option<usize>,
@@ -101,7 +87,7 @@ impl Senses {
         }
         let face_down = face_down(recording).map(|text| Code::Axes.warning(text));
         senses.findings.extend(face_down);
-        senses.clipped = clipped(&recording.samples.v);
+        senses.clipped = clipped_samples(&recording.samples.v);
         if let Some(first) = senses.clipped.first() {
             senses.findings.push(Code::Saturated.warning(format!(
                 "the accelerometer clips in {}, first at {:.2} s: what it felt there is not \
@@ -109,22 +95,6 @@ impl Senses {
                 counted(senses.clipped.len(), "sample"),
                 recording.samples.t[*first].s()
             )));
-        }
-        let force = |k: usize| Some(recording.samples.v[k].force_mps2);
-        let rate = |k: usize| recording.samples.v[k].rate_rad_s;
-        if let Some((from, axis)) = stuck(recording, force, MOVES_MPS2) {
-            senses.say(
-                recording,
-                "accelerometer",
-                from,
-                axis,
-                "position is not valid from there on",
-            );
-            senses.force_ends = Some(from);
-        }
-        if let Some((from, axis)) = stuck(recording, rate, MOVES_RAD_S) {
-            senses.say(recording, "gyroscope", from, axis, "it is left out from there on");
-            senses.rate_ends = Some(from);
         }
         let shown: [Sense; 2] = [|s| Some(s.force_mps2), |s| s.field_ut];
         if let Some(from) = silent(recording, |s| s.field_ut, HELD_S, &shown[..1]) {
@@ -135,22 +105,19 @@ impl Senses {
             )));
             senses.field_ends = Some(from);
         }
-        if let Some(from) = silent(recording, |s| s.rate_rad_s, STUCK_S, &shown) {
+        if let Some(Frozen { samples, text }) = Frozen::of(recording, "gyroscope", |s| s.rate_rad_s)
+        {
+            senses.findings.push(Code::Frozen.warning(format!("{text}: it is left out there")));
+            senses.frozen_rates = samples;
+        } else if let Some(from) = silent(recording, |s| s.rate_rad_s, STUCK_S, &shown) {
             senses.findings.push(Code::Frozen.warning(format!(
                 "all axes of the gyroscope give one and the same value from {:.2} s on while gravity or the field \
                  turns: it is left out from there on",
                 recording.samples.t[from].s()
             )));
-            senses.rate_ends = Some(senses.rate_ends.map_or(from, |before| before.min(from)));
+            senses.rate_ends = Some(from);
         }
         Ok(senses)
-    }
-
-    fn say(&mut self, of: &Imu, sensor: &str, from: usize, axis: usize, so: &str) {
-        let (axis, at) = (["X", "Y", "Z"][axis], of.samples.t[from].s());
-        self.findings.push(Code::Frozen.warning(format!(
-            "{sensor} {axis} gives one and the same value from {at:.2} s on while others change: {so}"
-        )));
     }
 }
 
@@ -160,16 +127,7 @@ fn steps(recording: &Imu) -> Result<()> {
     if recording.samples.len() < 3 || STEPS_S.contains(&step_s) || step_s <= 0.0 {
         return Ok(());
     }
-    // The unit that was named is not known here: what was read as seconds may be any other.
-    let fits = |(_, a_second): &&(&str, f64)| USUAL_S.contains(&(step_s / a_second));
-    let remedy = if step_s < STEPS_S.start {
-        "see that the unit of its times is right: `Time (s)`, `Time (ms)`, `Time (us)` or `Time (ns)`".to_owned()
-    } else {
-        match TIME_UNITS.iter().find(fits) {
-            Some((unit, _)) => format!("are its times in {unit}? Name the column `Time ({unit})`"),
-            None => "record ten samples a second and more".to_owned(),
-        }
-    };
+    let remedy = "see that the unit of its times is right: `Time (s)`, `Time (ms)`, `Time (us)` or `Time (ns)`";
     Err(Code::DataRefused
         .error(
             format!(
@@ -205,18 +163,23 @@ fn face_down(recording: &Imu) -> Option<String> {
     ))
 }
 
-/// Samples at an axis's full scale, where it comes there more than once.
-pub(super) fn clipped(samples: &[Sample]) -> Vec<usize> {
+/// Samples in which the accelerometer is at its full scale.
+pub(super) fn clipped_samples(samples: &[Sample]) -> Vec<usize> {
+    clipped(&samples.iter().map(|sample| sample.force_mps2).collect::<Vec<_>>())
+}
+
+/// Outputs of an accelerometer, m/s², at an axis's full scale, where it comes there more than once.
+pub(crate) fn clipped(outputs: &[Vector3<f64>]) -> Vec<usize> {
     let mut found = Vec::new();
     for axis in 0..3 {
         for sign in [-1.0, 1.0] {
-            let at = |k: usize| sign * samples[k].force_mps2[axis];
-            let most = (0..samples.len()).map(at).fold(0.0, f64::max);
+            let at = |k: usize| sign * outputs[k][axis];
+            let most = (0..outputs.len()).map(at).fold(0.0, f64::max);
             let scales = SCALES_G.map(|g| g * wimu_model::STANDARD_GRAVITY_MPS2);
             if !scales.iter().any(|s| (most / s - 1.0).abs() < AT_SCALE) {
                 continue;
             }
-            let there: Vec<usize> = (0..samples.len()).filter(|k| at(*k) == most).collect();
+            let there: Vec<usize> = (0..outputs.len()).filter(|k| at(*k) == most).collect();
             if there.len() >= CLIPS && there.windows(2).any(|w| w[1] == w[0] + 1) {
                 found.extend(there);
             }
@@ -302,74 +265,4 @@ fn is_turned(
         }
     }
     false
-}
-
-/// The sample and axis at which one stands still to the end of a long run while others change.
-fn stuck(
-    recording: &Imu,
-    value: impl Fn(usize) -> Option<Vector3<f64>>,
-    moves: f64,
-) -> Option<(usize, usize)> {
-    let count = recording.samples.len();
-    let mut found: Option<(usize, usize)> = None;
-    // Of an axis that never moves, that of the others.
-    let steps = [0, 1, 2].map(|axis| least_step(count, &value, axis));
-    let finest = steps.into_iter().fold(f64::INFINITY, f64::min);
-    for axis in 0..3 {
-        let step = if steps[axis].is_finite() { steps[axis] } else { finest };
-        let mut first = 0;
-        while first < count {
-            let mut end = first + 1;
-            let here = value(first);
-            let (mut low, mut high) = (here.unwrap_or_default(), here.unwrap_or_default());
-            while let (Some(here), true) = (here, end < count) {
-                let Some(next) = value(end).filter(|next| next[axis] == here[axis]) else {
-                    break;
-                };
-                for i in 0..3 {
-                    low[i] = low[i].min(next[i]);
-                    high[i] = high[i].max(next[i]);
-                }
-                end += 1;
-            }
-            let lasts = recording.samples.t[end - 1].since_s(recording.samples.t[first]) >= STUCK_S
-                && end - first >= STUCK_SAMPLES;
-            if lasts
-                && (0..3).any(|i| high[i] - low[i] > moves)
-                && would_show(&value, first..end, axis, step)
-            {
-                if found.is_none_or(|(before, _)| first < before) {
-                    found = Some((first, axis));
-                }
-                break;
-            }
-            first = end;
-        }
-    }
-    found
-}
-
-/// The least change of an axis from sample to sample; infinite where it never moves.
-fn least_step(count: usize, value: impl Fn(usize) -> Option<Vector3<f64>>, axis: usize) -> f64 {
-    let change = |k: usize| Some((value(k)?[axis] - value(k - 1)?[axis]).abs());
-    let changes = (1..count).filter_map(change);
-    changes.filter(|c| *c > 0.0).fold(f64::INFINITY, f64::min)
-}
-
-/// Whether the noise of both other axes, as second differences have it, would move this one by steps: an axis of coarse
-/// steps repeats itself at rest, and where it is not moved.
-fn would_show(
-    value: impl Fn(usize) -> Option<Vector3<f64>>,
-    run: Range<usize>,
-    axis: usize,
-    step: f64,
-) -> bool {
-    (0..3).filter(|other| *other != axis).all(|other| {
-        let second = |k: usize| {
-            let [a, b, c] = [value(k - 2)?, value(k - 1)?, value(k)?].map(|v| v[other]);
-            Some((a - 2.0 * b + c).abs())
-        };
-        let middle = median((run.start + 2..run.end).filter_map(second));
-        middle.is_some_and(|middle| middle > NOISY_STEPS * step)
-    })
 }

@@ -8,9 +8,7 @@ mod reduced_array;
 mod velocity;
 
 pub(crate) use direction::FieldHeading;
-pub use direction::{
-    CommonAxis, CommonField, Gravity, Heading, MagneticField, Magnetometer, SpecificForce,
-};
+pub use direction::{CommonAxis, Gravity, Heading, MagneticField, Magnetometer, SpecificForce};
 pub use multi_range::{Transfer, TransferModel};
 pub use position::{
     Anchor, Antenna, CommonPoint, CorrelatedErrors, LineOfSight, NonLineOfSight, Position, Range,

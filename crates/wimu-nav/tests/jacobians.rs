@@ -13,9 +13,9 @@ use wimu_nav::process::{
     RelativeBlocks, RigidArray, RigidArrayBlocks, Strapdown, StrapdownBlocks, Unmeasured,
 };
 use wimu_nav::sensor::{
-    Anchor, Antenna, ArrayNoise, CommonAxis, CommonField, CommonPoint, CorrelatedErrors, Heading,
-    Known, MagneticField, Magnetometer, Measurement, Mounting, NonHolonomic, Odometer, Position,
-    Range, RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate,
+    Anchor, Antenna, ArrayNoise, CommonAxis, CommonPoint, CorrelatedErrors, Heading, Known,
+    MagneticField, Magnetometer, Measurement, Mounting, NonHolonomic, Odometer, Position, Range,
+    RangeErrors, ReducedArray, SpecificForce, Velocity, VerticalRate,
 };
 use wimu_nav::state::{ATTITUDE, Block, Layout, POSITION, Role, State, VELOCITY};
 
@@ -575,10 +575,8 @@ fn relative_motion_and_its_joint_have_their_derivative() {
         let errors = ImuErrors::default();
         let blocks = RelativeBlocks::claim(&mut layout, &errors);
         let mut claim = || layout.claim(Role::Estimated, [1.0; 3]);
-        let (lever_arms, difference) = ([claim(), claim()], claim());
-        let estimated =
-            [blocks.gyroscope_bias, blocks.accelerometer_bias, lever_arms, [difference; 2]]
-                .concat();
+        let lever_arms = [claim(), claim()];
+        let estimated = [blocks.gyroscope_bias, blocks.accelerometer_bias, lever_arms].concat();
         let all = states(&estimated);
         let start = anywhere(&mut random, &layout, &all);
         let mut vector = |size: f64| Vector3::from(random.normals(size));
@@ -611,9 +609,6 @@ fn relative_motion_and_its_joint_have_their_derivative() {
         }
         let deviation_m = 0.01;
         assert_jacobian::<3>(&start, &all, &CommonPoint { lever_arms, deviation_m });
-        let field_ut = [vector(40.0), vector(40.0)];
-        let field = CommonField { field_ut, difference, noise_ut: 1.0 };
-        assert_jacobian::<3>(&start, &all, &field);
         // The axis of the first unit also chooses the components: only the second's is free here.
         let mut start = start;
         let axis = vector(1.0).normalize();

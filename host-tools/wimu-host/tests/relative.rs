@@ -83,7 +83,7 @@ fn the_angle_of_a_hinge_has_its_stated_standard_deviation() {
 fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
     let aligned = Rig { mounts: [nalgebra::Rotation3::identity(); 2], ..Rig::knee(3) };
     let with = |hinge| {
-        let choice = RelativeChoice { hinge: Some(hinge), ..RelativeChoice::default() };
+        let choice = RelativeChoice { hinge: Some(hinge) };
         let found = run(&aligned, &choice).unwrap();
         assert!(found.hinge.given && found.hinge.axes[0] == hinge);
         rms_deg(&errors(&aligned, &found))
@@ -91,7 +91,7 @@ fn a_given_axis_is_used_as_it_is_and_a_wrong_one_is_seen_in_the_error() {
     assert!(with([0.0, 0.0, 1.0]) < 1.5);
     assert!(with([1.0, 0.0, 0.0]) > 3.0);
     // The angle of units that are mounted alike is absolute.
-    let choice = RelativeChoice { hinge: Some([0.0, 0.0, 2.0]), ..RelativeChoice::default() };
+    let choice = RelativeChoice { hinge: Some([0.0, 0.0, 2.0]) };
     let found = run(&aligned, &choice).unwrap();
     let last = found.points.last().unwrap();
     let truth = aligned.truth(last.time_s).scaled_axis().z;
@@ -166,30 +166,6 @@ fn what_the_data_do_not_show_is_refused_or_reported() {
     let ball = Rig { swing_rad: [0.6, 0.6, 0.7], ..Rig::knee(9) };
     let ball = found(&ball);
     assert!(has(&ball, Code::NotObserved, "more than one axis") && !ball.is_accurate());
-}
-
-#[test]
-fn magnetometers_give_the_heading_that_a_resting_joint_does_not_show() {
-    let resting = Rig {
-        swing_rad: [0.0; 3],
-        base: [0.0; 2],
-        mounts: [[0.0, 0.3, 0.0], [0.0, 1.4, 0.0]].map(|m| nalgebra::Rotation3::new(m.into())),
-        field_ut: Some([0.0, 20.0, -44.0]),
-        ..Rig::knee(2)
-    };
-    // The vertical axis of the body: a heading is not observed.
-    let hinge = Some([0.0, 1.0, 0.0]);
-    let with = |magnetometers| run(&resting, &RelativeChoice { hinge, magnetometers }).unwrap();
-    let heading_off = |found: &RelativePath| {
-        let [w, x, y, z] = found.points.last().unwrap().quaternion;
-        let attitude =
-            nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-        attitude.to_rotation_matrix().angle_to(&resting.truth(19.0))
-    };
-    let without = with(false);
-    assert!(!without.is_accurate() && has(&without, Code::NotObserved, ""));
-    let off = heading_off(&with(true)).to_degrees();
-    assert!(off < 15.0, "{off}");
 }
 
 /// The points of a stream, and the stream. Messages take 5 to 25 ms, those of the second unit 40 ms more.

@@ -1,5 +1,5 @@
 //! Direction: gravity, magnetic field and heading, with the second-order terms of a vector that is measured in the body frame.
-//! Equations (123), (124), (131), (171), (194) and (195).
+//! Equations (123), (124), (131), (171) and (194).
 //!
 //! With the attitude error θ and the error e of the vector u, both in the navigation frame, exp(−θ) (u + e) has the
 //! second-order part ½ θ × (θ × u) − θ × e. With P = cov(θ) and c = cov(θ, e), its mean is
@@ -220,30 +220,6 @@ impl Measurement for Heading {
             Matrix1::new(self.deviation_rad * self.deviation_rad),
         )
         .by(ATTITUDE, derivative)
-    }
-}
-
-/// Readings of two magnetometers: C m₂ = m₁ + d.
-#[derive(Clone, Copy, Debug)]
-pub struct CommonField {
-    /// Readings of the first and the second unit, µT, each in its axes.
-    pub field_ut: [Vector3<f64>; 2],
-    /// Difference of the fields, µT, axes of the first unit.
-    pub difference: Block<3>,
-    /// Standard deviation of a component of a reading, µT.
-    pub noise_ut: f64,
-}
-
-impl Measurement for CommonField {
-    fn predict(&self, filter: &Filter) -> Prediction {
-        let second = filter.state.attitude * self.field_ut[1];
-        let variance = self.noise_ut * self.noise_ut;
-        Prediction::new(
-            self.field_ut[0] + filter.state.get(self.difference) - second,
-            Matrix3::from_diagonal_element(variance + variance),
-        )
-        .by(ATTITUDE, -second.cross_matrix())
-        .by(self.difference, -Matrix3::identity())
     }
 }
 

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wimu_nav::filter::{Filter, Gate};
-use wimu_nav::process::{GaussMarkov, ImuErrors, Relative, RelativeBlocks, Unmeasured};
-use wimu_nav::sensor::{CommonAxis, CommonField, CommonPoint};
+use wimu_nav::process::{ImuErrors, Relative, RelativeBlocks, Unmeasured};
+use wimu_nav::sensor::{CommonAxis, CommonPoint};
 use wimu_nav::state::{ATTITUDE, Block, Layout, Role};
 
 use super::Hinge;
@@ -22,16 +22,11 @@ const PLAY_M: f64 = 0.01;
 const PLAY_RAD: f64 = 0.0175;
 /// Deviation of a sample's time, s: rows that repeat a sample.
 const TIME_S: f64 = 0.002;
-/// Noise of a magnetometer, µT, and difference of the fields at both units, µT, with its correlation time, s: indoors.
-const FIELD_NOISE_UT: f64 = 1.0;
-const FIELD_DIFFERENCE_UT: f64 = 5.0;
-const FIELD_TIME_S: f64 = 10.0;
 
 /// What is known of both units.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model {
     pub hinge: Option<Hinge>,
-    pub fields: bool,
     /// Standard deviation of the biases of the accelerometers, m/s².
     pub bias_mps2: f64,
 }
@@ -64,7 +59,6 @@ struct Blocks {
     motion: RelativeBlocks,
     arms: [Block<3>; 2],
     axes: [Block<3>; 2],
-    field: Block<3>,
 }
 
 /// The filter on its way.
@@ -124,11 +118,6 @@ impl Engine {
                 self.log_likelihood += filter.update(&axis, Gate::Open).log_likelihood;
             }
         }
-        if let Some(field_ut) = step.field_ut.filter(|_| self.model.fields) {
-            let field =
-                CommonField { field_ut, difference: blocks.field, noise_ut: FIELD_NOISE_UT };
-            self.log_likelihood += filter.update(&field, Gate::Open).log_likelihood;
-        }
         let rate =
             |k: usize| step.rate_rad_s[k] - filter.state.get(blocks.motion.gyroscope_bias[k]);
         Pose {
@@ -165,7 +154,6 @@ fn begun(start: Rotation3<f64>, model: &Model, errors: &ImuErrors) -> (Filter, B
         layout.claim(Role::Estimated, [LEVER_ARM_M; 3]),
     ];
     let axes = [layout.claim(Role::Considered, [0.0; 3]), layout.claim(Role::Considered, [0.0; 3])];
-    let field = layout.claim(Role::Estimated, [FIELD_DIFFERENCE_UT; 3]);
     let mut filter = Filter::new(&layout, start);
     if let Some(hinge) = &model.hinge {
         for (k, block) in axes.into_iter().enumerate() {
@@ -176,19 +164,13 @@ fn begun(start: Rotation3<f64>, model: &Model, errors: &ImuErrors) -> (Filter, B
             filter.set_covariance(block, &(across * variance));
         }
     }
-    (filter, Blocks { motion, arms, axes, field })
+    (filter, Blocks { motion, arms, axes })
 }
 
 fn predict(filter: &mut Filter, step: &Step, blocks: &Blocks, errors: &ImuErrors) {
     let step_s = step.step_s;
-    let field = GaussMarkov {
-        block: blocks.field,
-        deviation: FIELD_DIFFERENCE_UT,
-        time_s: FIELD_TIME_S,
-        step_s,
-    };
     if !step.measured {
-        return filter.predict(&(Unmeasured { step_s, since_s: 0.0 }, field));
+        return filter.predict(&Unmeasured { step_s, since_s: 0.0 });
     }
     let motion = Relative {
         step_s,
@@ -197,5 +179,5 @@ fn predict(filter: &mut Filter, step: &Step, blocks: &Blocks, errors: &ImuErrors
         blocks: &blocks.motion,
         errors,
     };
-    filter.predict(&(motion, field));
+    filter.predict(&motion);
 }

@@ -3,7 +3,6 @@
 use super::engine::Pose;
 use super::hinge::relative;
 use super::{Hinge, RelativePath};
-use crate::imu::Imu;
 use crate::{Code, Problem};
 
 /// Standard deviation of the axis up to which it is accurate enough, rad: 10° change an angle by 1 − cos 10° = 1.5 %.
@@ -68,7 +67,7 @@ pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
     if sigma_rad > ANGLE_RAD {
         let evidence =
             format!("the angle is known to {:.1}° only (1 σ, median)", sigma_rad.to_degrees());
-        let remedy = "rest for some seconds and move the joint in several directions, or use --setup magnetometers=true";
+        let remedy = "rest for some seconds and move the joint in several directions";
         findings.push(Code::NotObserved.warning(evidence).remedy(remedy));
     }
     let lost = found.points.iter().filter(|point| !point.valid).count();
@@ -92,15 +91,9 @@ pub(super) fn after(found: &RelativePath) -> Vec<Problem> {
 /// The heading is not unique.
 pub(super) fn ambiguous() -> Problem {
     let evidence = "two headings of the second unit are equally probable";
-    let remedy = "move the joint in several directions, give the axis with --setup hinge=[X,Y,Z], or use --setup magnetometers=true";
+    let remedy =
+        "move the joint in several directions, or give the axis with --setup hinge=[X,Y,Z]";
     Code::NotObserved.warning(evidence).remedy(remedy)
-}
-
-/// No field in both.
-pub(super) fn without_field(recordings: [&Imu; 2]) -> Problem {
-    let reason = recordings.map(Imu::without_field);
-    Code::MagneticField
-        .warning(format!("the magnetometers are not used: {}; {}", reason[0], reason[1]))
 }
 
 /// The joint did not move.

@@ -31,23 +31,6 @@ pub enum Body {
 ///
 /// Clock, axis and rotation at the start are searched in the first motion; from then on each sample moves the filter on. The
 /// clocks of both units are tied to that of the host by the messages of least delay.
-///
-/// ```
-/// use wimu_host::imu::Sample;
-/// use wimu_host::relative::{Body, LiveRelative, RelativeChoice};
-///
-/// let mut live = LiveRelative::new(RelativeChoice::default(), Default::default());
-/// for k in 0..900 {
-///     let time_s = f64::from(k) * 0.01;
-///     let force_mps2 = [0.0, 0.0, 9.81].into();
-///     let rate_rad_s = Some([0.0; 3].into());
-///     let resting = Sample { force_mps2, rate_rad_s, ..Sample::default() };
-///     live.push(Body::A, time_s, time_s, resting);
-///     live.push(Body::B, time_s, time_s, Sample { force_mps2: [0.1, 0.0, 9.8].into(), ..resting });
-/// }
-/// assert!(live.take().is_empty());
-/// assert!(live.lacks().expect("no motion").text.contains("the joint hardly moves"));
-/// ```
 pub struct LiveRelative {
     choice: RelativeChoice,
     /// The latest samples, each at times of its clock.

@@ -1,5 +1,5 @@
 //! Digital protractor: rotation and hinge angle between two units on two bodies that a joint connects. Equations (190) to
-//! (196) of docs/reference/equations.
+//! (194) and (196) of docs/reference/equations.
 
 mod clock;
 mod engine;
@@ -38,8 +38,6 @@ const LEVEL_S: f64 = 0.5;
 pub struct RelativeChoice {
     /// Axis of the hinge, in the axes of both units; `None`: it is found.
     pub hinge: Option<[f64; 3]>,
-    /// Whether the magnetometers are used, where both units have one.
-    pub magnetometers: bool,
 }
 
 /// Rotation between two units at a time.
@@ -100,13 +98,8 @@ fn search(
     let given = given.transpose()?;
     let units = units(recordings).map_err(at)?;
     let (clock, mut noticed) = clock::coarse(&units).map_err(at)?;
-    let has_fields =
-        recordings.map(|r| r.samples.v.iter().any(|s| s.field_ut.is_some())) == [true; 2];
-    let mut model = Model {
-        hinge: given,
-        fields: choice.magnetometers && has_fields,
-        bias_mps2: recordings[0].bias_mps2().max(recordings[1].bias_mps2()),
-    };
+    let mut model =
+        Model { hinge: given, bias_mps2: recordings[0].bias_mps2().max(recordings[1].bias_mps2()) };
     let all = steps(&units, clock.offset_s);
     let start = start(&all, &model, &mut noticed).map_err(at)?;
     let clock = clock::refined(&units, clock, start, &model, &mut noticed)?;
@@ -130,9 +123,6 @@ fn search(
         }
     };
     let mut found = presented(run, hinge, clock);
-    if choice.magnetometers && !has_fields {
-        noticed.push(findings::without_field(recordings));
-    }
     noticed.extend(recordings.iter().flat_map(|r| r.findings.iter().cloned()));
     noticed.extend(findings::after(&found));
     found.findings = noticed;

@@ -7,8 +7,6 @@ use crate::series::{Flags, Interp, Ns, Series};
 
 /// Shortest common step, s: joints of machines and limbs move below 20 Hz.
 const LEAST_STEP_S: f64 = 0.005;
-/// Interval at which readings of the magnetometers are used, and their largest age, s.
-const FIELD_S: f64 = 0.1;
 /// Interval over which the angular rate is averaged for the search of the clock offset, s.
 const RATE_OVER_S: f64 = 0.02;
 /// Shortest overlap, s: the noise of a shorter one can fit anything.
@@ -22,8 +20,6 @@ pub(super) struct Step {
     pub step_s: f64,
     pub force_mps2: [Vector3<f64>; 2],
     pub rate_rad_s: [Vector3<f64>; 2],
-    /// Readings of both magnetometers, µT.
-    pub field_ut: Option<[Vector3<f64>; 2]>,
     /// Whether both have samples.
     pub measured: bool,
 }
@@ -36,7 +32,6 @@ pub(super) struct Unit {
     integrals: Series<Vector6<f64>>,
     /// Force and rate of the last sample.
     last: Option<Vector6<f64>>,
-    fields: Series<Vector3<f64>>,
     step_s: f64,
 }
 
@@ -68,21 +63,14 @@ impl Unit {
         if let (Some(before), Some(last)) = (self.last, self.integrals.t.last()) {
             sum += (before + now) * (0.5 * time.since_s(*last));
         }
-        if !self.integrals.push(time, sum, Flags::NONE) {
-            return;
+        if self.integrals.push(time, sum, Flags::NONE) {
+            self.last = Some(now);
         }
-        if let Some(field) = sample.field_ut
-            && self.fields.v.last() != Some(&field)
-        {
-            self.fields.push(time, field, Flags::NONE);
-        }
-        self.last = Some(now);
     }
 
-    /// Forgets samples before a time, s, but for the last two and the last reading of the magnetometer.
+    /// Forgets samples before a time, s, but for the last two.
     pub(super) fn forget(&mut self, before_s: f64) {
         self.integrals.forget_before(Ns::from_s(before_s), 2);
-        self.fields.forget_before(Ns::from_s(before_s), 1);
     }
 
     pub(super) fn span_s(&self) -> [f64; 2] {
@@ -94,13 +82,6 @@ impl Unit {
         let [first, last] = self.integrals.span()?;
         let time = Ns::from_s(time_s).clamp(first, last);
         Some(self.integrals.at(time, Interp::Linear)?.value)
-    }
-
-    /// The last reading of the magnetometer.
-    fn field(&self, time_s: f64) -> Option<Vector3<f64>> {
-        let time = Ns::from_s(time_s);
-        let row = self.fields.latest(time)?;
-        (time.since_s(self.fields.t[row]) <= FIELD_S).then(|| self.fields.v[row])
     }
 
     /// Magnitude of the angular rate, which does not depend on the mounting.
@@ -125,7 +106,6 @@ pub(super) struct Steps {
     count: u32,
     /// Integrals of both units up to the last step; none in a gap.
     before: [Option<Vector6<f64>>; 2],
-    field_s: f64,
 }
 
 impl Steps {
@@ -138,7 +118,6 @@ impl Steps {
             step_s: units[0].step_s.max(units[1].step_s).max(LEAST_STEP_S),
             count: 0,
             before: both(units, start_s, offset_s),
-            field_s: f64::NEG_INFINITY,
         }
     }
 
@@ -162,19 +141,11 @@ impl Steps {
             (Some(now), Some(before)) if measured => (now - before) / step_s,
             _ => Vector6::zeros(),
         });
-        let fields = units[0]
-            .field(time_s)
-            .zip(units[1].field(time_s - offset_s))
-            .filter(|_| time_s - self.field_s >= FIELD_S);
-        if fields.is_some() {
-            self.field_s = time_s;
-        }
         Some(Step {
             time_s,
             step_s,
             force_mps2: means.map(|mean| mean.fixed_rows::<3>(0).into()),
             rate_rad_s: means.map(|mean| mean.fixed_rows::<3>(3).into()),
-            field_ut: fields.map(|(a, b)| [a, b]),
             measured,
         })
     }

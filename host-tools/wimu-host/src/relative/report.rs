@@ -1,4 +1,4 @@
-//! The result as text, CSV and charts.
+//! The result as text, CSV and a chart.
 
 use std::io::BufWriter;
 use std::path::Path;
@@ -89,7 +89,7 @@ impl RelativePath {
         output.finish()
     }
 
-    /// A page with the result and its charts; `text` is that of the command.
+    /// A page with the result and its chart; `text` is that of the command.
     ///
     /// # Errors
     /// Those of [`Document`].
@@ -99,7 +99,7 @@ impl RelativePath {
         page.key("hinge axis, 1 σ", &format!("± {:.1}°", self.hinge.worst_sd_rad().to_degrees()));
         page.key("angle, 1 σ, median", &format!("± {:.1}°", self.median_sigma_rad().to_degrees()));
         page.printed(text).findings(&self.findings);
-        page.chart(&self.angle()).chart(&self.sigma());
+        page.chart(&self.angle());
         page
     }
 
@@ -117,19 +117,5 @@ impl RelativePath {
             note: "Band: 2 σ. Zero: axes of units that are mounted alike are parallel.".to_owned(),
             ..Chart::new("Angle of the hinge", "time, s", "deg", series)
         }
-    }
-
-    fn sigma(&self) -> Chart {
-        let of = |value: &dyn Fn(&RelativePoint) -> f64| {
-            broken(self.valid().map(|point| (point.time_s, value(point).to_degrees())).collect())
-        };
-        let mut series = vec![Series::line("angle", of(&|p| p.sigma_rad))];
-        for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
-            series.push(Series::line(
-                &format!("rotation about {axis} of A"),
-                of(&|p| p.attitude_sd_rad[k]),
-            ));
-        }
-        Chart::new("Standard deviation", "time, s", "deg", series)
     }
 }

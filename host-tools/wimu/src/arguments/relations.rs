@@ -112,7 +112,7 @@ const EXCLUDE: [(&str, &[&str]); 4] = [
 ];
 
 /// Those that need another.
-const NEED: [(&str, &[&str]); 9] = [
+const NEED: [(&str, &[&str]); 8] = [
     ("ranges", &["anchors"]),
     ("range_errors", &["anchors"]),
     ("survey_m", &["anchors"]),
@@ -121,7 +121,6 @@ const NEED: [(&str, &[&str]); 9] = [
     ("place_sd_mm", &["geometry"]),
     ("delay_sd_us", &["geometry"]),
     ("hinge", &["relative"]),
-    ("magnetometers", &["relative"]),
 ];
 
 /// Options of `navigate` that ranges beside a board have, and those of a recording do not.

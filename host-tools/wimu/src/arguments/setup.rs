@@ -39,8 +39,6 @@ pub const EXAMPLE: &str = r#"# Setup of wimu navigate --setup SETUP.toml; a sing
 
 # Two units on two bodies that a hinge connects (--relative): its axis in the axes of both; found from the motion without.
 #hinge = [0.0, 0.0, 1.0]
-# Use the magnetometers of both units: calibrated, and away from iron.
-#magnetometers = true
 "#;
 
 /// Keys whose value is a path, which is relative to the folder of the file.
@@ -62,7 +60,6 @@ pub struct Setup {
     pub delay_sd_us: Option<f64>,
     pub full_scales_g: Vec<f64>,
     pub hinge: Option<[f64; 3]>,
-    pub magnetometers: bool,
     /// The keys that were given.
     #[serde(skip)]
     pub given: Vec<String>,

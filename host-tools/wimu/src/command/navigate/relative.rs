@@ -20,10 +20,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     };
     let files = [&arguments.input, other];
     let links = files.map(|file| Input::parse(&file.to_string_lossy()));
-    let choice = RelativeChoice {
-        hinge: arguments.aids.setup.hinge,
-        magnetometers: arguments.aids.setup.magnetometers,
-    };
+    let choice = RelativeChoice { hinge: arguments.aids.setup.hinge };
     if let [Ok(Input::Link(a)), Ok(Input::Link(b))] = links {
         return live::run(arguments, [a, b], choice, output);
     }

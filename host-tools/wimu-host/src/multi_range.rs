@@ -1,29 +1,5 @@
 //! Accelerometers of different full scale on one body, merged by likelihood into one with the noise of the finest and the
 //! range of the widest: equations (220) to (224).
-//!
-//! ```
-//! use wimu_host::multi_range::{FullScales, Merge};
-//! use wimu_host::recording::{Quantity, Recording, Sink, TrackInfo, Unit};
-//!
-//! let mut recording = Recording::new("example");
-//! let tracks = [0, 1].map(|sensor| {
-//!     let info = TrackInfo::new("acc", Quantity::SpecificForce, Unit::Si).of_sensor(sensor);
-//!     recording.track(info)
-//! });
-//! for k in 0..400 {
-//!     let time_s = 0.01 * f64::from(k);
-//!     // Beyond ± 2 g from 3 s on.
-//!     let swing = if k < 300 { 10.0 } else { 40.0 } * (3.0 * time_s).sin();
-//!     let time_ns = i64::from(k) * 10_000_000;
-//!     recording.row(tracks[0], time_ns, &[swing.clamp(-19.6, 19.6), 0.0, 9.8]);
-//!     recording.row(tracks[1], time_ns, &[1.1 * swing + 0.3, 0.0, 9.8]);
-//! }
-//! let merge = Merge::of(&recording, &FullScales::of(&[2.0, 16.0])?)?.expect("two ranges");
-//! let force = merge.recording.first(Quantity::SpecificForce).expect("one accelerometer");
-//! let peak = force.vectors().map(|(_, [x, ..])| x.abs()).fold(0.0, f64::max);
-//! assert!((peak - 40.0).abs() < 0.4);
-//! # Ok::<(), wimu_host::Problem>(())
-//! ```
 
 mod findings;
 mod fit;

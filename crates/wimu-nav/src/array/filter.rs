@@ -9,7 +9,7 @@ use super::available::{Array, SensorBits};
 use super::geometry::{Geometry, GeometryError};
 use super::noise::{Level, Noise};
 use super::rest::RestTest;
-use super::solver::{ArraySolver, Linear, Roots};
+use super::solver::{ArraySolver, Linear};
 use super::state::{ArrayConfig, ArrayFault, ArrayState};
 use crate::filter::Filter;
 use crate::mixture::Mixture;
@@ -302,7 +302,7 @@ impl<const M: usize> ArrayFilter<M> {
             };
             let own = refine(prior.rate_rad_s).unwrap_or(prior.rate_rad_s);
             let near = |rate: &Vector3<f64>| prior.distance(rate, &prior.rate_rad_s) < REACH;
-            if !near(&-own) && solver.roots() == Roots::Two {
+            if !near(&-own) && solver.rank() == 6 {
                 return;
             }
             refine(-own);

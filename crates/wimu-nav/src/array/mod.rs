@@ -17,5 +17,5 @@ use wimu_model::geometry;
 pub use available::{Array, SensorBits};
 pub use filter::ArrayFilter;
 pub use geometry::{Axis, Geometry, GeometryError, Triad};
-pub use solver::{ArraySolver, Hypothesis, Linear, Roots};
+pub use solver::{ArraySolver, Hypothesis, Linear};
 pub use state::{ArrayConfig, ArrayFault, ArrayState};

@@ -16,21 +16,6 @@ const QUADRATIC_RANK: f64 = 1e-4;
 /// Unknowns of the linear part.
 const UNKNOWNS: usize = 6;
 
-/// What a sample says about the angular rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Roots {
-    /// Nothing: only ω̇ and s are measured (Chen, Lee & DeBra's cube, two or three triads in
-    /// special places).
-    None,
-    /// Less than three independent quantities: not enough for ω without its history.
-    Partial,
-    /// ω and −ω fit equally well, and in a planar array their mirror images at its plane too: four
-    /// roots.
-    Four,
-    /// ω and −ω fit equally well.
-    Two,
-}
-
 /// What is left of a sample: what the filter works on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Linear {
@@ -191,17 +176,9 @@ impl<const M: usize> ArraySolver<M> {
         Ok(solver)
     }
 
-    /// How many angular rates fit a sample.
-    pub fn roots(&self) -> Roots {
-        match self.rank {
-            0 => Roots::None,
-            1..=2 => Roots::Partial,
-            3..=5 => Roots::Four,
-            _ => Roots::Two,
-        }
-    }
-
-    /// How many of [`Linear::z`] count.
+    /// How many of [`Linear::z`] count, and so how many angular rates fit a sample: with 6 ω and −ω; with 3 to 5, of a planar
+    /// array, their mirror images at its plane too; with fewer none is known without its history, and with 0 only ω̇ and s are
+    /// measured (Chen, Lee & DeBra's cube, two or three triads in special places).
     pub fn rank(&self) -> usize {
         self.rank
     }

@@ -2,69 +2,8 @@
 //!
 //! A [`Kind`] names its columns, their unit, its usual σ, the states that it adds to the filter, and how a value updates the
 //! navigator. Reading, order of time, lever arm, σ of the time, tests, counts, residuals, findings, JSON and report are common
-//! to all kinds: a new one is a file beside [`position`] with its `mod`, and a line in [`KINDS`], and the command reads it with
+//! to all kinds: a new one is a file as [`barometer`] with its `mod`, and a line in [`KINDS`], and the command reads it with
 //! `--fixes`.
-//!
-//! A barometer that is not calibrated, as the file would have it:
-//!
-//! ```
-//! use nalgebra::{Matrix1, RowVector3};
-//! use wimu_host::inertial::aids::{Aid, Aids, Kind, Outcome, State, Update};
-//! use wimu_host::inertial::{Choice, navigate};
-//! use wimu_host::imu::{Imu, Sample};
-//! use wimu_host::series::Ns;
-//! use wimu_nav::filter::Filter;
-//! use wimu_nav::sensor::{Measurement, Prediction};
-//! use wimu_nav::state::{Block, POSITION};
-//!
-//! static ALTIMETER: Kind = Kind {
-//!     name: "altimeter",
-//!     one: "altitude",
-//!     columns: &[&["Altitude"]],
-//!     unit: &[(1.0, "m"), (0.3048, "ft")],
-//!     usual_sd: Some(0.3),
-//!     // The altitude of the origin, which the filter finds; it drifts with the weather.
-//!     states: &[State { name: "offset", unit: "m", sd: 500.0, walk: 0.01 }],
-//!     update: |aid: &Aid, to: &mut Update| {
-//!         let (altitude_m, sd_m) = (aid.value[0], aid.sd[0]);
-//!         to.with(Altitude { altitude_m, sd_m, offset: to.states[0] })
-//!     },
-//!     ..Kind::DEFAULT
-//! };
-//!
-//! struct Altitude {
-//!     altitude_m: f64,
-//!     sd_m: f64,
-//!     offset: Block<1>,
-//! }
-//!
-//! impl Measurement for Altitude {
-//!     fn predict(&self, filter: &Filter) -> Prediction {
-//!         let height = filter.state.get(POSITION).z + filter.state.get(self.offset).x;
-//!         Prediction::new(Matrix1::new(self.altitude_m - height), Matrix1::new(self.sd_m * self.sd_m))
-//!             .by(POSITION, RowVector3::new(0.0, 0.0, 1.0))
-//!             .by(self.offset, Matrix1::new(1.0))
-//!     }
-//! }
-//!
-//! // Fifteen seconds at rest.
-//! let mut recording = Imu::default();
-//! let mut aids = Aids::default();
-//! for k in 0..1500_u32 {
-//!     let time_s = f64::from(k) * 0.01;
-//!     let force_mps2 = [0.0, 0.0, if k % 2 == 0 { 9.80 } else { 9.81 }].into();
-//!     let rate_rad_s = Some([0.0; 3].into());
-//!     recording.push(Ns::from_s(time_s), Sample { force_mps2, rate_rad_s, ..Sample::default() });
-//!     if k % 100 == 0 {
-//!         aids.aids.push(Aid::of(&ALTIMETER, time_s, &[312.0], 0.3));
-//!     }
-//! }
-//! let path = navigate(&recording, &Choice { aids, ..Choice::default() })?;
-//! assert_eq!(path.aids["altimeter"].used, 15);
-//! let offset = path.states.iter().find(|state| state.name == "altimeter offset").unwrap();
-//! assert!((offset.value - 312.0).abs() < 0.5 && offset.sigma < 0.5, "{offset:?}");
-//! # Ok::<(), wimu_host::Problem>(())
-//! ```
 
 pub mod barometer;
 pub mod heading;

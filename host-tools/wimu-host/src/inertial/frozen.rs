@@ -8,12 +8,13 @@ use crate::imu::{Imu, Sample};
 use crate::plural::counted;
 use crate::stats::median;
 
-/// Second differences of an axis whose noise is more than a step are, in the median, more than so many steps: 1.65 σ of
+/// Second differences of an axis whose noise is more than a step are, in the median, three steps and more: two are 1.65 σ of
 /// white noise.
-const NOISY_STEPS: f64 = 2.0;
+const NOISY_STEPS: f64 = 2.5;
 /// Such an axis repeats itself once in three samples and more rarely, and so often in a row never: 3⁻¹⁶ is one in
-/// forty million.
+/// forty million. Fewer samples than this are no fault that a path shows.
 const REPEATS: usize = 16;
+const FEWEST: usize = 50;
 
 /// What a sensor gives in a sample.
 pub(super) type Sense = fn(&Sample) -> Option<Vector3<f64>>;
@@ -34,7 +35,10 @@ impl Frozen {
         }
         let quiet: Vec<Range<usize>> =
             recording.still_seconds().into_iter().map(|(second, _)| second).collect();
-        let noisy = axes.each_ref().map(|axis| axis.is_noisy(&quiet));
+        // A slower sensor holds each of its samples, on all axes.
+        let is_new = |k: &usize| axes.iter().any(|axis| axis.begins_at(*k));
+        let sampled: Vec<usize> = (0..recording.samples.len()).filter(is_new).collect();
+        let noisy = axes.each_ref().map(|axis| axis.is_noisy(&sampled, &quiet));
         let (mut names, mut frozen) = (Vec::new(), vec![false; recording.samples.len()]);
         for (k, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.has_long_runs()) {
             if noisy[k] || (axis.runs.len() == 1 && noisy.contains(&true)) {
@@ -80,15 +84,21 @@ impl Axis {
     }
 
     fn long_runs(&self) -> impl Iterator<Item = &Range<usize>> {
-        self.runs.iter().filter(|run| run.len() > REPEATS * self.held)
+        self.runs.iter().filter(|run| run.len() > FEWEST.max(REPEATS * self.held))
     }
 
     fn has_long_runs(&self) -> bool {
         self.long_runs().next().is_some()
     }
 
-    /// Whether its noise is more than its steps in the first quiet second in which it does not repeat itself.
-    fn is_noisy(&self, quiet: &[Range<usize>]) -> bool {
+    /// Whether its value is new at a sample.
+    fn begins_at(&self, k: usize) -> bool {
+        self.runs.binary_search_by(|run| run.start.cmp(&k)).is_ok()
+    }
+
+    /// Whether its noise is more than its steps in the first quiet second in which it does not repeat itself. `sampled`: the
+    /// samples at which the sensor has new values.
+    fn is_noisy(&self, sampled: &[usize], quiet: &[Range<usize>]) -> bool {
         let value = |run: &Range<usize>| self.values[run.start];
         let changes = self.runs.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
         let step = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
@@ -98,12 +108,13 @@ impl Axis {
         let Some(second) = quiet.iter().find(is_free) else {
             return false;
         };
-        let there = self.runs.partition_point(|run| run.start < second.start)
-            ..self.runs.partition_point(|run| run.start < second.end);
-        let bend = |three: &[Range<usize>]| {
-            (value(&three[0]) - 2.0 * value(&three[1]) + value(&three[2])).abs()
+        let there = sampled.partition_point(|k| *k < second.start)
+            ..sampled.partition_point(|k| *k < second.end);
+        let bend = |three: &[usize]| {
+            let [a, b, c] = [0, 1, 2].map(|k| self.values[three[k]]);
+            (a - 2.0 * b + c).abs()
         };
-        let middle = median(self.runs[there].windows(3).map(bend));
+        let middle = median(sampled[there].windows(3).map(bend));
         middle.is_some_and(|middle| middle > NOISY_STEPS * step)
     }
 }

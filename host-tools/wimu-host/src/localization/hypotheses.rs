@@ -34,7 +34,7 @@ pub(super) struct Chosen {
 /// The most probable start; `None` without a candidate.
 pub(super) fn choose(recording: &Recording, model: &Model) -> Option<Chosen> {
     let starts = starts(recording, model);
-    let first_s = recording.ranges.first().map_or(0.0, |r| r.time_s);
+    let first_s = recording.ranges.first().map_or(0.0, |r| r.time_s + model.shift_s);
     let trial_s = match recording.motion {
         Motion::Free => TRIAL_S,
         _ => HEADING_TRIAL_S,
@@ -117,15 +117,69 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
     starts
 }
 
-/// The noise of the ranges is that of another motion if it is larger than assumed by this factor, or the delay that was found
-/// is larger than this number of its prior's standard deviations.
-const UNFIT_NOISE: f64 = 1.5;
-const UNFIT_DELAY: f64 = 2.0;
+/// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
+const SHIFTS_S: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+/// End of the search, s: halved steps about the last shift reach it.
+pub(super) const LAST_SHIFT_S: f64 = 12.0;
+const SHIFT_GAIN: f64 = 50.0;
+/// They are tried if the noise of the ranges is larger than assumed by this factor, or the delay that was found is larger
+/// than this number of its prior's standard deviations.
+const CLOCK_NOISE: f64 = 1.5;
+const CLOCK_DELAY: f64 = 2.0;
+/// The first ranges that are compared for it, at most.
+const SHIFT_RANGES: usize = 3000;
+/// The shift is found to this, s: half of what the state of the delay allows.
+const SHIFT_S: f64 = 0.03;
 
 /// Whether the noise of the ranges, and their delay, s, are those that were assumed.
 pub(super) fn fits(model: &Model, delay_s: f64) -> bool {
     let noise_m = model.ranges.noise_m.hypot(model.ranges.correlated_m);
-    noise_m < UNFIT_NOISE * model.expected_m
+    noise_m < CLOCK_NOISE * model.expected_m
         && model.line_of_sight.probability < 0.5
-        && delay_s.abs() < UNFIT_DELAY * DELAY_S
+        && delay_s.abs() < CLOCK_DELAY * DELAY_S
+}
+
+/// Whether a shift of the clock, s, is at the end of the search.
+pub(super) fn is_last(shift_s: f64) -> bool {
+    shift_s.abs() > LAST_SHIFT_S - 2.0 * SHIFT_S
+}
+
+/// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
+/// shift has its own most probable start. Equation (172).
+pub(super) fn clock_shift(recording: &Recording, model: &Model, delay_s: f64) -> Option<f64> {
+    if matches!(recording.motion, Motion::Free) || fits(model, delay_s) {
+        return None;
+    }
+    let part = Recording {
+        ranges: &recording.ranges[..recording.ranges.len().min(SHIFT_RANGES)],
+        ..*recording
+    };
+    let last_s = part.ranges.last().map_or(0.0, |r| r.time_s);
+    let shifted = |shift_s: f64| Model { shift_s, ..*model };
+    let likelihood = |shift_s: f64, start: &Start| {
+        part.log_likelihood(&shifted(shift_s), start, last_s + shift_s.max(0.0))
+    };
+    let chosen = |shift_s: f64| {
+        let Chosen { start, .. } = choose(&part, &shifted(shift_s))?;
+        Some((likelihood(shift_s, &start), shift_s, start))
+    };
+    let mut best = chosen(0.0);
+    let least = best.map_or(f64::NEG_INFINITY, |(found, ..)| found) + SHIFT_GAIN;
+    for shift_s in SHIFTS_S.into_iter().flat_map(|s| [s, -s]) {
+        let found = chosen(shift_s);
+        let most = best.map_or(f64::NEG_INFINITY, |(most, ..)| most);
+        best = found.filter(|(found, ..)| *found > most).or(best);
+    }
+    let (mut most, mut shift_s, start) = best.filter(|(most, ..)| *most > least)?;
+    let mut step_s = 0.25 * shift_s.abs();
+    while step_s > SHIFT_S {
+        for next_s in [shift_s - step_s, shift_s + step_s] {
+            let found = likelihood(next_s, &start);
+            if found > most {
+                (most, shift_s) = (found, next_s);
+            }
+        }
+        step_s *= 0.5;
+    }
+    Some(shift_s)
 }

@@ -1,5 +1,5 @@
 //! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
-//! and correlated errors of every anchor. Equations (160) to (168) of docs/reference/equations.
+//! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/reference/equations.
 
 mod findings;
 mod hypotheses;
@@ -22,7 +22,7 @@ use crate::imu::Imu;
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::{Code, Problem, Result};
-use hypotheses::{Chosen, choose, fits};
+use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use run::{DELAY_S, Motion, Recording, Run};
 
 /// An anchor as its file has it.
@@ -230,12 +230,21 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         given: choice.start.as_ref(),
     };
     let at = |error: Problem| error.at(&recording.name);
-    let (run, model, chosen) = solved(&problem, prior, choice).map_err(at)?;
-    let delay_s = run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    if !matches!(problem.motion, Motion::Free) && !fits(&model, delay_s) {
-        noticed.push(findings::unfit());
+    let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
+    let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
+    if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)) {
+        let shifted = Model { shift_s, ..prior };
+        let found = solved(&problem, shifted, choice).map_err(at)?;
+        let explains = fits(&found.1, delay_s(&found.0));
+        if is_last(shift_s) {
+            return Err(at(findings::last_shift(shift_s)));
+        }
+        noticed.push(findings::clock(shift_s, explains));
+        if explains {
+            (run, model, chosen) = found;
+        }
     }
-    noticed.extend(findings::after(recording, &run, &chosen));
+    noticed.extend(findings::after(recording, &model, &run, &chosen));
     let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&ranged));
     path.findings = noticed;

@@ -86,6 +86,8 @@ pub(crate) struct Model {
     pub gravity_mps2: f64,
     /// Whether the unit stays at its height.
     pub planar: bool,
+    /// Ranges are later than the other sensor's times by this, s.
+    pub shift_s: f64,
 }
 
 impl Model {
@@ -126,6 +128,7 @@ impl Model {
             imu,
             gravity_mps2: wimu_nav::GRAVITY_MPS2,
             planar,
+            shift_s: 0.0,
         }
     }
 }

@@ -88,8 +88,11 @@ impl Recording<'_> {
         let ranging = self.ranging.with(*model);
         let wheels = matches!(self.motion, Motion::Odometry(_));
         let steps = self.steps(model, until_s);
-        let aids = self.ranges.iter().map(|range| range.mounted(&self.mounting));
-        let aids: Vec<Aid> = aids.collect();
+        let at = |range: &Aid| Aid {
+            time_s: range.time_s + model.shift_s,
+            ..range.mounted(&self.mounting)
+        };
+        let aids: Vec<Aid> = self.ranges.iter().map(at).collect();
         // Ranges before the first sample are used with it.
         let first_s = steps.first().map_or(0.0, |step| step.time_s);
         let first_s = aids.first().map_or(first_s, |aid| aid.time_s.min(first_s));
@@ -148,8 +151,8 @@ impl Recording<'_> {
 
     /// Times of the ranges and of the other sensor, each once. Of ranges beside inertial samples those that have no sample
     /// soon after them.
-    fn times(&self, until_s: f64) -> Vec<f64> {
-        let mut times: Vec<f64> = self.ranges.iter().map(|s| s.time_s).collect();
+    fn times(&self, model: &Model, until_s: f64) -> Vec<f64> {
+        let mut times: Vec<f64> = self.ranges.iter().map(|s| s.time_s + model.shift_s).collect();
         match self.motion {
             Motion::Free => {}
             Motion::Odometry(increments) => times.extend(increments.iter().map(|i| i.time_s)),
@@ -167,7 +170,7 @@ impl Recording<'_> {
 
     /// The steps up to a time, s.
     fn steps(&self, model: &Model, until_s: f64) -> Vec<Step> {
-        let times = self.times(until_s);
+        let times = self.times(model, until_s);
         let before = times.first().into_iter().chain(&times);
         let step = |(from, to): (&f64, &f64)| Step {
             time_s: *to,

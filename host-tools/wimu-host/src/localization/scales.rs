@@ -60,7 +60,7 @@ fn scaled(model: &Model, motion: &Motion, direction: usize, factor: f64) -> Opti
 /// The model with the scales of greatest likelihood.
 pub(super) fn adapted(recording: &Recording, model: &Model, start: &Start) -> Model {
     let used = &recording.ranges[..recording.ranges.len().min(MOST)];
-    let until_s = used.last().map_or(0.0, |r| r.time_s);
+    let until_s = used.last().map_or(0.0, |r| r.time_s + model.shift_s);
     let first = recording.navigated(model, start, until_s, None);
     let is_far = |range: &Residual| range.weight < FAR_WEIGHT && range.value < 0.0;
     let pairs = used.iter().zip(&first.residuals);

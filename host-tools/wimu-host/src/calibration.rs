@@ -20,7 +20,7 @@ pub mod source;
 mod update;
 
 pub use correction::Correction;
-pub use datasheet::{DatasheetReport, LimitReport, datasheet};
+pub use datasheet::{Datasheet, DatasheetReport, LimitReport, datasheet};
 pub use describe::{Change, Difference, describe, not_observed, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
@@ -42,7 +42,7 @@ pub use several::{Repeatability, SessionReport, SeveralFit, SeveralReport, calib
 pub use source::compiled_for;
 pub use update::{RestReport, UpdateReport, update};
 
-use wimu_calib::{Datasheet, Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
+use wimu_calib::{Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
 
 use crate::plural::counted;
 use crate::recording::Samples;

@@ -3,14 +3,14 @@
 use std::cmp::Ordering;
 
 use wimu_calib::{
-    Covariance, Datasheet, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters,
-    Pose, Reason, Refusal, Term, Terms, UnitHint, multi_position,
+    Covariance, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters, Pose,
+    Reason, Refusal, Term, Terms, UnitHint, multi_position,
 };
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::poses::{Poses, median_magnitude, range_note, rms};
 use super::report::{AXES, Criterion, Grade};
-use super::{CalibrateOptions, MethodChoice, ModelChoice, Source, magnitude, median};
+use super::{CalibrateOptions, Datasheet, MethodChoice, ModelChoice, Source, magnitude, median};
 use crate::digits::significant;
 use crate::plural::counted;
 use crate::recording::{OutputUnit, RateSource, Samples};

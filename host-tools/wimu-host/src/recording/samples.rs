@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use wimu_calib::{Datasheet, Pose, SixAxisSample, find_poses};
+use wimu_calib::{Pose, SixAxisSample, find_poses};
 use wimu_link::hello::sensor;
 use wimu_model::{
     Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TemperatureTerms,
@@ -10,7 +10,7 @@ use wimu_model::{
 
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
-use crate::calibration::SensorCalibration;
+use crate::calibration::{Datasheet, SensorCalibration};
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 

@@ -132,11 +132,6 @@ impl Context<'_> {
     pub fn reason(&self, refusal: &Refusal, used_lsb_per_g: Option<f64>) -> String {
         let (data, poses, options) = (self.data, self.poses, self.options);
         let has = poses.len();
-        if let Reason::Placement { index: pose, steps: steps @ 3..=4 } = refusal.reason
-            && has < pose + steps
-        {
-            return self.incomplete_rotation(pose, steps);
-        }
         let mut reason = refusal.to_string();
         if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
             let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
@@ -179,24 +174,6 @@ impl Context<'_> {
         let with_priors = MultiPosition { priors: true, ..self.options.multi_position() };
         self.options.model != ModelChoice::Auto
             && multi_position(self.poses, gravity, with_priors).is_ok()
-    }
-
-    fn incomplete_rotation(&self, pose: usize, steps: usize) -> String {
-        let (has, degrees) = (self.poses.len(), 360 / steps.max(1));
-        if has < steps {
-            return format!(
-                "{} found, a rotation has {steps} steps of {degrees}°. Rotate about one axis of the sensor, in one direction, \
-                 and hold it still for two seconds at each step.",
-                counted(has, "static pose")
-            );
-        }
-        let last = if has > pose + 1 { format!(" to {}", has - 1) } else { String::new() };
-        format!(
-            "Poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis. Give {steps} poses \
-             for each rotation, in order, and no others{}.",
-            has - pose,
-            start_times(self.data, self.poses)
-        )
     }
 
     /// The effect with which the poses that contradict each other have the best fit, and its option.

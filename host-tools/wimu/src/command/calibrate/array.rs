@@ -5,12 +5,13 @@ use std::path::Path;
 use serde_json::{Value, json};
 use wimu_calib::Gravity;
 use wimu_host::array::{ArrayGeometry, CalibratedArray, calibrate_array};
+use wimu_host::calibration::CalibrateOptions;
 use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_host::{Code, Problem, Result};
 
 use crate::arguments::Calibrate;
 use crate::command::array::{self, Refined};
-use crate::output::{Output, usage};
+use crate::output::Output;
 
 /// Calibrates an array.
 pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()> {
@@ -19,12 +20,12 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()
     let options = array::prior(None, None, &geometry);
     let recording =
         array::read(input, &arguments.more, arguments.sensitivity, arguments.reading.role(), true)?;
-    let gravity = match (arguments.gravity, arguments.latitude) {
-        (Some(mps2), _) => Gravity::new(mps2, 0.0),
-        (None, Some([latitude, height])) => Gravity::at(latitude, height),
-        (None, None) => Ok(Gravity::UNKNOWN_PLACE),
+    let given = CalibrateOptions {
+        gravity_mps2: arguments.gravity,
+        place: arguments.latitude,
+        ..CalibrateOptions::default()
     };
-    let gravity = gravity.map_err(|e| usage(e.to_string(), "check --gravity"))?;
+    let (gravity, _) = given.gravity()?;
     let found = calibrate_array(&recording, &geometry, gravity, &options)?;
     let calibrated = present(&found, arguments, gravity, output);
     if let Some(file) = &arguments.output {

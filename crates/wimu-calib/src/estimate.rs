@@ -45,6 +45,8 @@ pub struct Estimate {
     pub fitted_rms_mps2: f64,
     /// Largest absolute residual, m/s².
     pub max_mps2: f64,
+    /// Index of the pose with the largest residual.
+    pub worst_pose: usize,
     /// Leave-one-out error: residual of each fitted pose under the model fitted without it, m/s² rms;
     /// `None` if a pose cannot be left out (six-position with one pose per side).
     pub loo_rms_mps2: Option<f64>,
@@ -95,6 +97,7 @@ impl Estimate {
             rms_mps2: residuals.rms_mps2(),
             fitted_rms_mps2: residuals.rms_mps2(),
             max_mps2: residuals.largest_mps2,
+            worst_pose: residuals.worst_pose,
             loo_rms_mps2: None,
             loo_orientation_rms_mps2: None,
             pose_sd_mps2: 0.0,

@@ -268,6 +268,7 @@ impl Found<'_> {
             rms_mps2: all.rms_mps2(),
             fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,
+            worst_pose: all.worst_pose,
             loo_rms_mps2: Some(of_kept(&left_out).rms_mps2()),
             loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms_mps2()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),

@@ -113,7 +113,7 @@ impl<'a> Sessions<'a> {
         });
         let residual = squares.sum();
         // Fraction by which the prior reduces the slope, 0..=1.
-        let shrinkage = prior * covariance[(1, 1)];
+        let shrinkage = if prior < NO_SLOPE { prior * covariance[(1, 1)] } else { 1.0 };
         let dof = self.all.len() as f64 - 2.0 + shrinkage * shrinkage;
         Line { at, covariance, between, prior, residual, dof }
     }

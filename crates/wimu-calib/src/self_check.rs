@@ -26,34 +26,6 @@ impl Default for Ageing {
     }
 }
 
-/// Uncertainty of the temperature dependence of the bias.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Slopes {
-    /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
-    sd: [f64; 3],
-    seen_c: [f64; 2],
-    /// Standard deviation outside them.
-    beyond: f64,
-}
-
-impl Slopes {
-    fn unknown(per_kelvin_mps2: f64) -> Self {
-        Self {
-            sd: [per_kelvin_mps2; 3],
-            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
-            beyond: per_kelvin_mps2,
-        }
-    }
-
-    /// Integral of the standard deviation over temperature, m/s².
-    fn at(&self, axis: usize, celsius: f64) -> f64 {
-        let [low, high] = self.seen_c;
-        let within = celsius.max(low).min(high);
-        let sd = self.sd.get(axis).copied().unwrap_or(self.beyond);
-        sd * within + self.beyond * (celsius - within)
-    }
-}
-
 /// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Check {
@@ -99,7 +71,9 @@ pub struct SelfCheck {
     covariance: SMatrix<f64, 12, 12>,
     gravity: Gravity,
     ageing: Ageing,
-    slopes: Slopes,
+    /// Standard deviation of the bias per kelvin, m/s², within the calibrated temperatures, °C, and those.
+    slope_sd: [f64; 3],
+    seen_c: [f64; 2],
     /// Temperature of the calibration, else of the first rest, and of the latest rest, °C.
     temperatures_c: Option<[f64; 2]>,
     poses: u32,
@@ -129,7 +103,8 @@ impl SelfCheck {
             covariance: (*covariance.matrix()).into(),
             gravity,
             ageing,
-            slopes: Slopes::unknown(ageing.per_kelvin_mps2),
+            slope_sd: [ageing.per_kelvin_mps2; 3],
+            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
             temperatures_c: None,
             poses: 0,
             contradictions: 0,
@@ -148,11 +123,8 @@ impl SelfCheck {
         if let Some(seen) = quality.temperature
             && set.model.terms().temperature.bias_mps2_per_k != [0.0; 3]
         {
-            check.slopes = Slopes {
-                sd: quality.other_sd.bias_mps2_per_k.map(f64::from),
-                seen_c: [f64::from(seen.lowest_c), f64::from(seen.highest_c)],
-                ..check.slopes
-            };
+            check.slope_sd = quality.other_sd.bias_mps2_per_k.map(f64::from);
+            check.seen_c = [f64::from(seen.lowest_c), f64::from(seen.highest_c)];
         }
         Some(check)
     }
@@ -174,7 +146,7 @@ impl SelfCheck {
         if let Some(now) = celsius {
             let [from, before] = *self.temperatures_c.get_or_insert([now; 2]);
             for axis in 0..3 {
-                let moved = |to: f64| self.slopes.at(axis, to) - self.slopes.at(axis, from);
+                let moved = |to: f64| self.thermal_sd(axis, to) - self.thermal_sd(axis, from);
                 let more = moved(now) * moved(now) - moved(before) * moved(before);
                 self.covariance[(axis, axis)] += more.max(0.0);
             }
@@ -198,6 +170,13 @@ impl SelfCheck {
             self.contradictions = self.contradictions.saturating_add(1);
         }
         Some(Check { residual_mps2, expected_sd_mps2, holds })
+    }
+
+    /// Integral over temperature of the standard deviation of the bias per kelvin, m/s².
+    fn thermal_sd(&self, axis: usize, celsius: f64) -> f64 {
+        let [low, high] = self.seen_c;
+        let within = celsius.max(low).min(high);
+        self.slope_sd[axis] * within + self.ageing.per_kelvin_mps2 * (celsius - within)
     }
 
     /// Number of poses.

@@ -73,16 +73,6 @@ pub fn four_angle(
 /// Three readings determine bias, scale factor and initial angle: no redundancy is left for a
 /// check.
 ///
-/// ```
-/// use wimu_calib::{Gravity, Placement, Pose, three_angle};
-///
-/// let turn = [[9.9, 0.0, 0.0], [-4.8, 8.487, 0.0], [-4.8, -8.487, 0.0]];
-/// let poses = turn.map(Pose::from_mean);
-/// let estimate = three_angle(&poses, Gravity::UNKNOWN_PLACE, Placement::BY_HAND)?;
-/// assert!((estimate.model.terms().bias_mps2[0] - 0.1).abs() < 1e-12);
-/// # Ok::<(), wimu_calib::Refusal>(())
-/// ```
-///
 /// # Errors
 /// [`Refusal`] when the poses are not such turns or the result is no accelerometer's.
 pub fn three_angle(

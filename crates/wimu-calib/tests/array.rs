@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use proptest::prelude::*;
 use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array};
-use wimu_calib::{Pose, Reason, find_poses};
+use wimu_calib::{Reason, find_poses};
 use wimu_model::geometry::Geometry;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, draws, figure};
 

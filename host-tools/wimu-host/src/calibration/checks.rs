@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{
     Covariance, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters, Pose,
     Reason, Refusal, Term, Terms, UnitHint, multi_position,
@@ -23,8 +24,6 @@ const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 /// Scatter of the poses of a consumer sensor, mm/s², 1 σ.
 const SCATTER_MM_S2: f64 = 10.0;
-/// Normal deviate that is exceeded with a probability of 0.1 %.
-const UNLIKELY: f64 = 3.09;
 /// Percentage of the scale factors' variance from which on gravity dominates it.
 const DOMINATES_PERCENT: f64 = 50.0;
 /// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
@@ -363,14 +362,13 @@ fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> 
     problems
 }
 
-/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² (Wilson and Hilferty) for the
-/// usual scatter and the noise of the poses.
+/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² for the usual scatter and the
+/// noise of the poses.
 fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
-    let dof = estimate.dof.max(1) as f64;
-    let ninths = 2.0 / (9.0 * dof);
-    let ratio = (1.0 - ninths + UNLIKELY * ninths.sqrt()).powi(3);
+    let chi_squared = ChiSquared::new(estimate.dof.max(1) as f64);
+    let most = chi_squared.map_or(f64::INFINITY, |chi_squared| chi_squared.inverse_cdf(0.999));
     let scatter = SCATTER_MM_S2.hypot(pose_noise_mps2(poses) * 1e3);
-    scatter * (ratio * dof / estimate.poses as f64).sqrt()
+    scatter * (most / estimate.poses as f64).sqrt()
 }
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.

@@ -102,10 +102,10 @@ impl<F: PageFlash> FlashLayout<F> {
 /// ```
 /// use wimu_node::{FlashLayout, FlashStore, PageFlash};
 ///
-/// /// The last four pages of 4 KiB of a flash of 512 KiB, as on an nRF52833; erasing one takes up
+/// /// The last two pages of 4 KiB of a flash of 512 KiB, as on an nRF52833; erasing one takes up
 /// /// to 90 ms.
 /// fn store<F: PageFlash>(flash: F) -> FlashStore<F> {
-///     FlashStore::new(flash, const { FlashLayout::new(0x7C000..0x80000) }, 90)
+///     FlashStore::new(flash, const { FlashLayout::new(0x7E000..0x80000) }, 90)
 /// }
 /// ```
 pub struct FlashStore<F> {

@@ -116,6 +116,12 @@ impl<B: Bus> FifoChip for Adxl345<B> {
         Ok(FifoLevel { samples, overrun })
     }
 
+    /// Makes room, so that no sample is overwritten while the others are read.
+    async fn repair(&mut self) -> Result<bool, SensorFault> {
+        self.read(&mut [Counts::default(); 8]).await?;
+        Ok(true)
+    }
+
     /// Each burst removes a sample from the FIFO.
     async fn read(&mut self, samples: &mut [Counts]) -> Result<FifoRead, SensorFault> {
         for sample in &mut *samples {

@@ -55,8 +55,8 @@ wimu_embassy::board! {
     light: (Output<'static>, Input<'static>), lit: false,
 }
 
-/// Four sectors of the partition `nvs` of espflash's table, which nothing else uses.
-const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x9000..0xD000);
+/// Two sectors of the partition `nvs` of espflash's table, which nothing else uses.
+const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x9000..0xB000);
 /// Longest erase of a sector of usual flash chips, ms.
 const PAUSE_MS: u16 = 400;
 /// Timeout of the watchdog, longer than an erase of a sector.

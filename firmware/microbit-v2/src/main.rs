@@ -59,8 +59,8 @@ wimu_cortex_m::board! {
     watchdog: WatchdogHandle, |watchdog| watchdog.pet(), wimu_embassy::LIMITS_US,
 }
 
-/// The last 16 KiB of the flash, which memory.x excludes.
-const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7C000..0x80000);
+/// The last 8 KiB of the flash, which memory.x excludes.
+const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0x7E000..0x80000);
 /// The board's axes (x to the logo, y to button A, z out of the display) in terms of the chip's, which is
 /// left-handed and on the back.
 const MOUNTING: Mounting = Mounting::new([Axis::MinusY, Axis::X, Axis::MinusZ]);

@@ -11,9 +11,9 @@ use wimu_node::FlashLayout;
 
 /// Flash of the board, bytes, as in memory.x.
 const SIZE: usize = if cfg!(feature = "pico2") { 4 << 20 } else { 2 << 20 };
-/// The last 16 KiB of the flash.
+/// The last 8 KiB of the flash. A change erases one sector, which stalls the processor: 45 ms, at most 400 ms.
 pub const LAYOUT: FlashLayout<StoreFlash> =
-    FlashLayout::new((SIZE - (16 << 10)) as u32..SIZE as u32);
+    FlashLayout::new((SIZE - (8 << 10)) as u32..SIZE as u32);
 
 pub type StoreFlash = BlockingFlash<Flash<'static, FLASH, Blocking, SIZE>>;
 

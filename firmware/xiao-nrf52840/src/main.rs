@@ -63,8 +63,8 @@ wimu_cortex_m::board! {
 // The numbers are those of Seeed's own firmware for this board.
 wimu_embassy::usb_cable!(UsbDriver, (0x2886, 0x8045), "XIAO nRF52840 Sense");
 
-/// The 16 KiB below the bootloader, which memory.x excludes.
-const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0xF0000..0xF4000);
+/// The 8 KiB below the bootloader, which memory.x excludes.
+const LAYOUT: FlashLayout<StoreFlash> = FlashLayout::new(0xF2000..0xF4000);
 /// The longest erase of a page, ms: nine steps of 10 ms, each after up to 30 ms of radio, and as much reserve.
 const PAUSE_MS: u16 = 720;
 /// From power of the sensor until it answers, ms: 15 by its datasheet, with reserve.

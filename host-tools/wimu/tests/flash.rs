@@ -6,23 +6,18 @@ use std::path::Path;
 
 use kit::{Transcript, wimu};
 
-/// A UF2 file of one block for an RP2040: vectors at `address` whose stack begins at `stack`.
-fn image(folder: &Path, address: u32, stack: u32) -> String {
+/// An RP2040's family of UF2 files, and that of the RP2350.
+const RP2040: u32 = 0xe48b_ff56;
+const RP2350: u32 = 0xe48b_ff59;
+
+/// A UF2 file of one block.
+fn image(folder: &Path, family: u32) -> String {
     let mut block = vec![0; 512];
-    let words = [
-        (0, 0x0a32_4655),
-        (4, 0x9e5d_5157),
-        (12, address),
-        (16, 256),
-        (24, 1),
-        (28, 0xe48b_ff56),
-        (32, stack),
-        (508, 0x0ab1_6f30),
-    ];
+    let words = [(0, 0x0a32_4655), (4, 0x9e5d_5157), (24, 1), (28, family), (508, 0x0ab1_6f30)];
     for (at, word) in words {
         block[at..at + 4].copy_from_slice(&u32::to_le_bytes(word));
     }
-    let file = folder.join(format!("{address:x}-{stack:x}.uf2"));
+    let file = folder.join(format!("{family:x}.uf2"));
     std::fs::write(&file, block).expect("writable");
     file.display().to_string()
 }
@@ -34,15 +29,15 @@ fn an_image_that_cannot_be_written_is_refused_before_a_board_is_searched_for() {
     let missing = folder.path().join("none.hex").display().to_string();
     let letter = folder.path().join("letter.hex").display().to_string();
     std::fs::write(&letter, "Dear board").expect("writable");
-    let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
-    let qemu = image(folder.path(), 0, 0x2040_0000);
+    let pico = image(folder.path(), RP2040);
+    let pico2 = image(folder.path(), RP2350);
 
     wimu(&["device", "flash", "microbit-v1"]).fails(2, "usage");
     for (image, code) in [(&missing, "file_unreadable"), (&letter, "unknown_format")] {
         let ran = wimu(&["device", "flash", "microbit-v2", "--image", image]);
         texts.fails(code, &ran, 2, code);
     }
-    for (board, other) in [("microbit-v2", &pico), ("microbit-v2", &qemu), ("pico", &qemu)] {
+    for (board, other) in [("microbit-v2", &pico), ("pico", &pico2)] {
         let ran = wimu(&["device", "flash", board, "--image", other]);
         let failure = texts.fails(board, &ran, 2, "wrong_image");
         assert_eq!(failure["place"]["at"], other.as_str());
@@ -55,7 +50,7 @@ fn an_image_is_copied_to_the_drive_of_its_board() {
     let folder = tempfile::tempdir().expect("a folder");
     let drive = tempfile::tempdir().expect("a folder");
     let to = drive.path().display().to_string();
-    let image = image(folder.path(), 0x1000_0100, 0x2004_0000);
+    let image = image(folder.path(), RP2040);
     // A drive that tells no board, and then one that does.
     wimu(&["device", "flash", "--image", &image, "--drive", &to]).fails(2, "usage");
     let info = "UF2 Bootloader v3.0\r\nModel: Raspberry Pi RP2\r\nBoard-ID: RPI-RP2\r\n";
@@ -70,7 +65,7 @@ fn an_image_is_copied_to_the_drive_of_its_board() {
 fn without_a_probe_the_other_procedure_is_described() {
     let mut texts = Transcript::default();
     let folder = tempfile::tempdir().expect("a folder");
-    let pico = image(folder.path(), 0x1000_0100, 0x2004_0000);
+    let pico = image(folder.path(), RP2040);
     let flash = wimu(&["device", "flash", "pico", "--image", &pico]);
     let (exit, code) =
         if cfg!(feature = "flash") { (1, "probe_absent") } else { (2, "feature_missing") };

@@ -34,7 +34,7 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
         assert!(boot.environment.is_empty());
         assert_eq!(gaps(boot.raw()), []);
         assert!(boot.raw().len() > 3_000, "{}", boot.raw().len());
-        // The bar, from when the sensor's true rate is known.
+        // The bar, from when the sensor's true rate is known. A smoothed time may be before its sample.
         let settled = &boot.raw()[boot.raw().len() - 600..];
         let late = settled.iter().map(|sample| {
             let time = sample.time.0 as f64;
@@ -57,7 +57,7 @@ fn it_streams_on_both_uarts_with_the_times_at_which_the_sensor_had_its_samples()
             "± 5 of a constant",
             most - least <= 10.0,
         );
-        assert!(most - least <= 10.0 && least >= -5.0, "{least} to {most} µs");
+        assert!(most - least <= 10.0 && least >= -10.0, "{least} to {most} µs");
     }
     let answers: Vec<_> = run.link(LinkRole::Cable).replies().to_vec();
     assert!(matches!(answers[0].answer, Answer::Accepted(_)), "{answers:?}");

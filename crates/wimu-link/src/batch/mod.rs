@@ -46,6 +46,8 @@ use wimu_model::DeviceTimeUs;
 
 use crate::frame::{self, EncodeError, Kind};
 
+use packing::Unpacked;
+
 pub use decoded::{Batch, BatchError};
 pub use sample::{Sample, Stream};
 
@@ -139,32 +141,33 @@ pub fn encode_with<S: Sample>(
     samples: &[S],
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    // The end of `frame` has room for the body of all but the longest batches of corrected samples.
-    // Clearing a separate buffer would take an eighth of the time of packing.
-    let body_room =
-        HEADER + 4 + 5 * (S::AXES / 3) + (samples.len() * S::AXES * S::WIDTH.bits()).div_ceil(8);
-    let frame_room = frame::MAX_FRAME - frame::MAX_BODY + body_room;
-    if let Some((frame, body)) = frame.split_at_mut_checked(frame.len().wrapping_sub(body_room))
-        && frame.len() >= frame_room
-    {
-        return pack(layout, first_sequence, first_time, samples, body, frame);
+    let count = samples.len();
+    if count == 0 || count > S::MOST {
+        return Err(EncodeError::BatchLength { most: S::MOST });
     }
-    let mut body = [0; MAX_BATCH_BODY];
-    pack(layout, first_sequence, first_time, samples, &mut body, frame)
+    let mut room = [0; MAX_BATCH * 3];
+    let values = room.get_mut(..S::AXES * count).unwrap_or_default();
+    for (axis, values) in values.chunks_exact_mut(count).enumerate() {
+        for (value, sample) in values.iter_mut().zip(samples) {
+            *value = sample.axis(axis);
+        }
+    }
+    let Layout { sensor, every } = layout;
+    let (stream, width) = (S::STREAM, S::WIDTH);
+    let batch = Unpacked { stream, width, count, every, first_sequence, first_time, values };
+    pack(extension::<S>(sensor)?, batch, frame)
 }
 
-fn pack<S: Sample>(
-    layout: Layout,
-    first_sequence: u32,
-    first_time: DeviceTimeUs,
-    samples: &[S],
-    body: &mut [u8],
+/// Packs a batch behind the byte `extension`.
+fn pack(
+    extension: Option<u8>,
+    mut batch: Unpacked<'_>,
     frame: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let extension = extension::<S>(layout.sensor)?;
-    let (before, rest) =
-        body.split_at_mut_checked(extension.is_some().into()).ok_or(EncodeError::NoRoom)?;
-    let length = packing::encode_body(layout.every, first_sequence, first_time, samples, rest)?;
+    let mut room = [0; MAX_BATCH_BODY];
+    let (before, body) =
+        room.split_at_mut_checked(extension.is_some().into()).ok_or(EncodeError::NoRoom)?;
+    let length = before.len() + batch.encode(body)?;
     let kind = match (before, extension) {
         ([before], Some(extension)) => {
             *before = extension;
@@ -172,9 +175,7 @@ fn pack<S: Sample>(
         }
         _ => Kind::Batch,
     };
-    let length = length + usize::from(extension.is_some());
-    let body = body.get(..length).ok_or(EncodeError::NoRoom)?;
-    frame::encode(kind, body, frame)
+    frame::encode(kind, room.get(..length).ok_or(EncodeError::NoRoom)?, frame)
 }
 
 /// The byte before a batch; `None` where [`Kind::Batch`] says the same.

@@ -5,7 +5,7 @@ use core::num::NonZeroU8;
 use wimu_model::DeviceTimeUs;
 
 use super::predict::{Coding, MEAN_GAINS, Mean, fold, unfold};
-use super::sample::{Sample, Stream, Width};
+use super::sample::{Stream, Width};
 use super::{CORRECTED_BIT, DECIMATED_BIT, ESCAPE, HEADER, MAX_BATCH, SHIFT_BIT};
 use crate::bits::BitWriter;
 use crate::frame::EncodeError;
@@ -13,65 +13,76 @@ use crate::frame::EncodeError;
 /// Samples of X that choose the predictor.
 const TRIED: usize = 8;
 
-/// Packs samples into the body of a frame; returns its length, bytes.
-pub(super) fn encode_body<S: Sample>(
-    every: NonZeroU8,
-    first_sequence: u32,
-    first_time: DeviceTimeUs,
-    samples: &[S],
-    body: &mut [u8],
-) -> Result<usize, EncodeError> {
-    if samples.is_empty() || samples.len() > S::MOST {
-        return Err(EncodeError::BatchLength { most: S::MOST });
-    }
-    let shifts = [0, 3].map(|from| if from < S::AXES { common_shift(samples, from) } else { 0 });
-
-    let (header, bits) = body.split_first_chunk_mut::<HEADER>().ok_or(EncodeError::NoRoom)?;
-    let [sequence_0, sequence_1, ..] = first_sequence.to_le_bytes();
-    let [time_0, time_1, time_2, ..] = first_time.0.to_le_bytes();
-    let stream_bit = match S::STREAM {
-        Stream::Raw => 0,
-        Stream::Corrected => CORRECTED_BIT,
-    };
-    let shift_bit = if shifts != [0; 2] { SHIFT_BIT } else { 0 };
-    let decimated = every > NonZeroU8::MIN;
-    let decimated_bit = if decimated { DECIMATED_BIT } else { 0 };
-    let first = (samples.len() - 1) as u8 | stream_bit | shift_bit | decimated_bit;
-    *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
-    let (more, bits) = bits.split_at_mut_checked(decimated.into()).ok_or(EncodeError::NoRoom)?;
-    if let [more] = more {
-        *more = every.get();
-    }
-
-    let mut packer = Packer {
-        writer: BitWriter::new(bits),
-        residuals: [0; MAX_BATCH - 1],
-        coding: None,
-        latest_k: None,
-    };
-    let sensors = shifts.iter().take(S::AXES / 3);
-    if shift_bit != 0 {
-        for shift in sensors.clone() {
-            packer.writer.push(*shift, S::WIDTH.field());
-        }
-    }
-    for (sensor, &shift) in sensors.enumerate() {
-        packer.coding = None;
-        for axis in 3 * sensor..3 * sensor + 3 {
-            packer.pack(Axis { samples, axis, shift });
-        }
-    }
-    let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
-    Ok(HEADER + usize::from(decimated) + packed)
+/// A batch to encode: one encoder serves samples of all types.
+pub(super) struct Unpacked<'v> {
+    pub(super) stream: Stream,
+    pub(super) width: Width,
+    /// Samples, 1 to [`MAX_BATCH`].
+    pub(super) count: usize,
+    pub(super) every: NonZeroU8,
+    pub(super) first_sequence: u32,
+    pub(super) first_time: DeviceTimeUs,
+    /// `count` values of each axis, three axes a sensor.
+    pub(super) values: &'v mut [i32],
 }
 
-/// Number of low bits that are zero in all samples of the three axes that begin with `from`: equation (20).
-fn common_shift<S: Sample>(samples: &[S], from: usize) -> u32 {
+impl Unpacked<'_> {
+    /// Packs the batch into the body of a frame; returns its length, bytes.
+    pub(super) fn encode(&mut self, body: &mut [u8]) -> Result<usize, EncodeError> {
+        let width = self.width;
+        let sensors = self.values.chunks_exact_mut(3 * self.count);
+        let mut shifts = [0; 2];
+        for (values, shift) in sensors.zip(&mut shifts) {
+            *shift = common_shift(values);
+            values.iter_mut().for_each(|value| *value >>= *shift);
+        }
+
+        let (header, bits) = body.split_first_chunk_mut::<HEADER>().ok_or(EncodeError::NoRoom)?;
+        let [sequence_0, sequence_1, ..] = self.first_sequence.to_le_bytes();
+        let [time_0, time_1, time_2, ..] = self.first_time.0.to_le_bytes();
+        let stream_bit = match self.stream {
+            Stream::Raw => 0,
+            Stream::Corrected => CORRECTED_BIT,
+        };
+        let shift_bit = if shifts != [0; 2] { SHIFT_BIT } else { 0 };
+        let decimated = self.every > NonZeroU8::MIN;
+        let decimated_bit = if decimated { DECIMATED_BIT } else { 0 };
+        let first = (self.count - 1) as u8 | stream_bit | shift_bit | decimated_bit;
+        *header = [first, sequence_0, sequence_1, time_0, time_1, time_2];
+        let (more, bits) =
+            bits.split_at_mut_checked(decimated.into()).ok_or(EncodeError::NoRoom)?;
+        if let [more] = more {
+            *more = self.every.get();
+        }
+
+        let mut packer = Packer {
+            writer: BitWriter::new(bits),
+            residuals: [0; MAX_BATCH - 1],
+            coding: None,
+            latest_k: None,
+        };
+        let sensors = self.values.chunks_exact(3 * self.count);
+        if shift_bit != 0 {
+            for shift in shifts.iter().take(sensors.len()) {
+                packer.writer.push(*shift, width.field());
+            }
+        }
+        for sensor in sensors {
+            packer.coding = None;
+            for axis in sensor.chunks_exact(self.count) {
+                packer.pack(width, axis);
+            }
+        }
+        let packed = packer.writer.finish().ok_or(EncodeError::NoRoom)?;
+        Ok(HEADER + usize::from(decimated) + packed)
+    }
+}
+
+/// Number of low bits that are zero in all values: equation (20).
+fn common_shift(values: &[i32]) -> u32 {
     let mut used = 0;
-    for few in samples.chunks(4) {
-        used = few.iter().fold(used, |used, sample| {
-            used | sample.axis(from) | sample.axis(from + 1) | sample.axis(from + 2)
-        });
+    for few in values.chunks(12) {
+        used = few.iter().fold(used, |used, value| used | value);
         if used & 1 == 1 {
             return 0;
         }
@@ -101,73 +112,55 @@ fn k_code(width: Width, k: u32, latest: Option<u32>) -> (u32, u32) {
     }
 }
 
-/// One axis of samples, shifted right by their common shift.
-#[derive(Clone, Copy)]
-struct Axis<'s, S> {
-    samples: &'s [S],
-    axis: usize,
-    shift: u32,
+/// Bits of the longest value, without its sign.
+fn longest(values: &[i32]) -> u32 {
+    bit_length(values.iter().fold(0, |longest, &value| longest | magnitude(value)))
 }
 
 // The loops over samples are separate functions, so that each can use all registers.
-impl<S: Sample> Axis<'_, S> {
-    #[inline]
-    fn value(&self, sample: &S) -> i32 {
-        sample.axis(self.axis) >> self.shift
-    }
 
-    /// Bits of the longest value, without its sign.
-    fn longest(&self) -> u32 {
-        bit_length((self.samples.iter()).fold(0, |longest, s| longest | magnitude(self.value(s))))
+/// Linear if the second differences of the first values are smaller than the first differences, else mean.
+#[inline(never)]
+fn likely_coding(first: i32, values: &[i32]) -> Coding {
+    let mut previous = first;
+    let mut slope = values.first().map_or(0, |value| value.wrapping_sub(first));
+    let (mut first_differences, mut second_differences) = (0_u32, 0_u32);
+    for &value in values.iter().take(TRIED) {
+        let step = value.wrapping_sub(previous);
+        first_differences = first_differences.saturating_add(magnitude(step));
+        second_differences = second_differences.saturating_add(magnitude(step.wrapping_sub(slope)));
+        (previous, slope) = (value, step);
     }
+    if second_differences < first_differences { Coding::Linear } else { Coding::Mean }
+}
 
-    /// Linear if the second differences of the first samples are smaller than the first differences, else
-    /// mean.
-    #[inline(never)]
-    fn likely_coding(self, first: i32) -> Coding {
-        let mut previous = first;
-        let mut slope = (self.samples.first()).map_or(0, |s| self.value(s).wrapping_sub(first));
-        let (mut first_differences, mut second_differences) = (0, 0);
-        for sample in self.samples.iter().take(TRIED) {
-            let value = self.value(sample);
-            let step = value.wrapping_sub(previous);
-            first_differences = S::WIDTH.add(first_differences, magnitude(step));
-            second_differences =
-                S::WIDTH.add(second_differences, magnitude(step.wrapping_sub(slope)));
-            (previous, slope) = (value, step);
-        }
-        if second_differences < first_differences { Coding::Linear } else { Coding::Mean }
+/// The residuals of the mean for the values after the first, folded but not yet wrapped to W bits; returns their
+/// sum.
+#[inline(never)]
+fn mean_residuals(first: i32, values: &[i32], residuals: &mut Residuals) -> u32 {
+    let mut mean = Mean::of(first);
+    let mut sum = 0_u32;
+    for ((value, folded), gain) in values.iter().zip(residuals).zip(&MEAN_GAINS) {
+        let residual = value.wrapping_sub(mean.rounded());
+        *folded = fold(residual);
+        sum = sum.saturating_add(*folded);
+        mean.correct(residual, *gain);
     }
+    sum
+}
 
-    /// The residuals of the mean for the samples after the first, folded but not yet wrapped to W bits;
-    /// returns their sum.
-    #[inline(never)]
-    fn mean_residuals(self, first: i32, residuals: &mut Residuals) -> u32 {
-        let mut mean = Mean::of(first);
-        let mut sum = 0;
-        for ((sample, folded), gain) in self.samples.iter().zip(residuals).zip(&MEAN_GAINS) {
-            let residual = self.value(sample).wrapping_sub(mean.rounded());
-            *folded = fold(residual);
-            sum = S::WIDTH.add(sum, *folded);
-            mean.correct(residual, *gain);
-        }
-        sum
+/// The same for the linear prediction from the two previous values.
+#[inline(never)]
+fn linear_residuals(first: i32, values: &[i32], residuals: &mut Residuals) -> u32 {
+    let (mut previous, mut slope) = (first, 0_i32);
+    let mut sum = 0_u32;
+    for (&value, folded) in values.iter().zip(residuals) {
+        let step = value.wrapping_sub(previous);
+        *folded = fold(step.wrapping_sub(slope));
+        sum = sum.saturating_add(*folded);
+        (previous, slope) = (value, step);
     }
-
-    /// The same for the linear prediction from the two previous samples.
-    #[inline(never)]
-    fn linear_residuals(self, first: i32, residuals: &mut Residuals) -> u32 {
-        let (mut previous, mut slope) = (first, 0_i32);
-        let mut sum = 0;
-        for (sample, folded) in self.samples.iter().zip(residuals) {
-            let value = self.value(sample);
-            let step = value.wrapping_sub(previous);
-            *folded = fold(step.wrapping_sub(slope));
-            sum = S::WIDTH.add(sum, *folded);
-            (previous, slope) = (value, step);
-        }
-        sum
-    }
+    sum
 }
 
 /// Residuals of the samples after the first. Cleared once per batch.
@@ -183,22 +176,20 @@ struct Packer<'a> {
 }
 
 impl Packer<'_> {
+    /// Packs the values of an axis.
     // Not inlined, to keep the code small.
     #[inline(never)]
-    fn pack<S: Sample>(&mut self, all: Axis<'_, S>) {
-        let width = S::WIDTH;
+    fn pack(&mut self, width: Width, values: &[i32]) {
         let field = width.field();
-        let Some((first, rest)) = all.samples.split_first() else {
+        let Some((&first, rest)) = values.split_first() else {
             return;
         };
-        let first = all.value(first);
-        let rest = Axis { samples: rest, ..all };
-        let coding = *(self.coding).get_or_insert_with(|| rest.likely_coding(first));
+        let coding = *(self.coding).get_or_insert_with(|| likely_coding(first, rest));
         let sum = match coding {
-            Coding::Linear => rest.linear_residuals(first, &mut self.residuals),
-            _ => rest.mean_residuals(first, &mut self.residuals),
+            Coding::Linear => linear_residuals(first, rest, &mut self.residuals),
+            _ => mean_residuals(first, rest, &mut self.residuals),
         };
-        let residuals = self.residuals.get_mut(..rest.samples.len()).unwrap_or_default();
+        let residuals = self.residuals.get_mut(..rest.len()).unwrap_or_default();
         if width.can_be_exceeded_in(sum) {
             for folded in &mut *residuals {
                 *folded = fold(width.wrap(unfold(*folded)));
@@ -231,17 +222,17 @@ impl Packer<'_> {
         // Fixed width if that is not longer. The longest sample is searched only if the length of the first
         // one does not decide.
         let coded = writer.bits_since(&start);
-        let fixed = |length: u32| 2 + field + (length + 1) * all.samples.len() as u32;
-        if coded < fixed(first_length) || coded < fixed(all.longest()) {
+        let fixed = |length: u32| 2 + field + (length + 1) * values.len() as u32;
+        if coded < fixed(first_length) || coded < fixed(longest(values)) {
             self.latest_k = Some(k);
             return;
         }
-        let length = all.longest();
+        let length = longest(values);
         writer.go_back(start);
         writer.push((Coding::Fixed as u32) << field | length, 2 + field);
         let spare = 31 - length;
-        for sample in all.samples {
-            writer.push(((all.value(sample) as u32) << spare) >> spare, length + 1);
+        for &value in values {
+            writer.push(((value as u32) << spare) >> spare, length + 1);
         }
     }
 }

@@ -49,16 +49,6 @@ impl Width {
         }
     }
 
-    /// Adds a folded residual, which is not wrapped yet, to the sum of a batch.
-    #[inline]
-    pub(super) const fn add(self, sum: u32, folded: u32) -> u32 {
-        match self {
-            // At most 31 · 2²³.
-            Self::W16 | Self::W20 => sum + folded,
-            Self::W32 => sum.saturating_add(folded),
-        }
-    }
-
     /// Whether a folded residual of a batch with this sum may exceed W bits.
     pub(super) const fn can_be_exceeded_in(self, sum: u32) -> bool {
         match self {

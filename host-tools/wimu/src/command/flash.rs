@@ -4,24 +4,23 @@ mod image;
 #[cfg(feature = "flash")]
 mod probe;
 
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use wimu_host::{Code, Problem, Result};
 
+use self::image::Format;
 use crate::arguments::{Board, Flash};
 use crate::output::{Output, usage};
 
 /// What is known of a board.
 struct Facts {
     name: &'static str,
-    /// Name of the chip in probe-rs, where its stack may begin, and the address of an image's vector table.
+    /// Name of the chip in probe-rs.
+    #[cfg_attr(not(feature = "flash"), expect(dead_code, reason = "a drive needs no name"))]
     chip: &'static str,
-    stack: RangeInclusive<u32>,
-    vectors: u32,
-    /// Family of its UF2 blocks; an image without one is Intel HEX.
-    family: Option<u32>,
+    /// Format of its images.
+    format: Format,
     /// Name of the drive that takes an image, a file on it and a text in that file, and how the board shows it.
     drive: &'static str,
     mark: (&'static str, &'static str),
@@ -34,9 +33,7 @@ impl Board {
             Self::MicrobitV2 => Facts {
                 name: "microbit-v2",
                 chip: "nRF52833_xxAA",
-                stack: 0x2000_0004..=0x2002_0000,
-                vectors: 0,
-                family: None,
+                format: Format::Hex,
                 drive: "MICROBIT",
                 mark: ("DETAILS.TXT", "micro:bit"),
                 shown: "connect its USB cable",
@@ -44,9 +41,7 @@ impl Board {
             Self::Pico => Facts {
                 name: "pico",
                 chip: "RP2040",
-                stack: 0x2000_0004..=0x2004_2000,
-                vectors: 0x1000_0100,
-                family: Some(0xe48b_ff56),
+                format: Format::Uf2 { family: 0xe48b_ff56 },
                 drive: "RPI-RP2",
                 mark: ("INFO_UF2.TXT", "RPI-RP2"),
                 shown: "hold BOOTSEL while you connect its USB cable",
@@ -54,9 +49,7 @@ impl Board {
             Self::XiaoNrf52840 => Facts {
                 name: "xiao-nrf52840",
                 chip: "nRF52840_xxAA",
-                stack: 0x2000_0004..=0x2004_0000,
-                vectors: 0x2_7000,
-                family: Some(0xada5_2840),
+                format: Format::Uf2 { family: 0xada5_2840 },
                 drive: "XIAO-SENSE",
                 mark: ("INFO_UF2.TXT", "XIAO"),
                 shown: "press its reset button twice within half a second",
@@ -68,7 +61,10 @@ impl Board {
 impl Facts {
     /// The image that `cargo xtask firmware` writes.
     fn file(&self) -> String {
-        let extension = if self.family.is_some() { "uf2" } else { "hex" };
+        let extension = match self.format {
+            Format::Hex => "hex",
+            Format::Uf2 { .. } => "uf2",
+        };
         format!("target/firmware/{}.{extension}", self.name)
     }
 
@@ -147,14 +143,13 @@ fn read(board: Facts, file: Option<PathBuf>) -> Result<Image> {
         let text = format!("the image cannot be read: {error}");
         Code::FileUnreadable.error(text, remedy).at(&location)
     })?;
-    let segments = image::segments(&bytes).ok_or_else(|| {
+    let format = image::format(&bytes).ok_or_else(|| {
         let remedy = "give an Intel HEX or UF2 file; `cargo xtask firmware` builds them";
         Code::UnknownFormat.error("this is not a complete firmware image", remedy).at(&location)
     })?;
-    if let Some(why) = image::objection(&board, &bytes, &segments) {
-        let text = format!("this image is not for a {}: {why}", board.name);
-        let remedy =
-            format!("give the board's own image: `cargo xtask firmware` writes {}", board.file());
+    if format != board.format {
+        let text = format!("this image is for another board than the {}: {format}", board.name);
+        let remedy = format!("give {}, which `cargo xtask firmware` writes", board.file());
         return Err(Code::WrongImage.error(text, remedy).at(&location));
     }
     Ok(Image { board, file, bytes })

@@ -51,15 +51,15 @@ const EMPTY: &str = "empty";
 const QEMU_IMAGE: Image = image("image for QEMU", QEMU, [0, 0], [252_000, 27_300]);
 const IMAGES: [Image; 8] = [
     QEMU_IMAGE,
-    profile("profile stream", "", [48, 8], [46_200, 6_900]),
-    profile("profile navigate", "navigate", [66, 11], [67_584, 10_500]),
+    profile("profile stream", "", [48, 8], [46_300, 6_900]),
+    profile("profile navigate", "navigate", [66, 11], [67_200, 10_500]),
     // The default: the image that is left.
-    image("profile full, micro:bit", MICROBIT, [81, 16], [79_600, 16_384]),
-    image("Pico", PICO, [80, 16], [113_664, 22_000]),
+    image("profile full, micro:bit", MICROBIT, [81, 16], [78_600, 16_384]),
+    image("Pico", PICO, [80, 16], [108_200, 22_000]),
     // Half of it is the controller and the host stack of Bluetooth: it has no target.
-    image("XIAO nRF52840 with BLE and USB", XIAO, [0, 0], [206_000, 40_000]),
+    image("XIAO nRF52840 with BLE and USB", XIAO, [0, 0], [200_500, 40_000]),
     // Likewise, and most of the RAM is the radio's heap.
-    image("ESP32-C3 with BLE and USB", ESP32C3, [0, 0], [480_000, 102_000]),
+    image("ESP32-C3 with BLE and USB", ESP32C3, [0, 0], [455_000, 102_000]),
     function("bare loop", "bare-loop", 8, 14_000),
 ];
 

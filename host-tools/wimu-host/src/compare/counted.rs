@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::io::Read;
+use std::ops::RangeInclusive;
 
 use wimu_calib::ReferenceTransfer;
 use wimu_link::message::{Answer, Payload, Status};
@@ -16,6 +17,7 @@ use crate::clock::ClockModel;
 use crate::decode::{Event, Samples};
 use crate::mcap_file::{Recorded, RecordingReader};
 use crate::series::Ns;
+use crate::units::SampleUnit;
 use crate::walk::{Start, Step, walk};
 
 /// Differences of pairs.
@@ -72,9 +74,110 @@ pub(super) struct Counted {
     users: [[ArrivalUser; 2]; 2],
 }
 
+/// The second reading under way.
+struct Reading<'o> {
+    overview: &'o Overview,
+    excerpt_ns: RangeInclusive<u64>,
+    counted: Counted,
+    pairing: Pairing,
+    /// By link.
+    current: [Option<Start>; 2],
+    /// The slice of the recording that it is in.
+    slice: usize,
+}
+
+impl Reading<'_> {
+    /// Takes a step of a link.
+    fn take(&mut self, link: usize, start: Start, step: Step) {
+        let arrival = match step {
+            Step::Arrival(arrival) => arrival,
+            Step::Other(entry) => return self.take_entry(link, entry),
+        };
+        self.counted.meters[link].is_open(arrival.host_ns);
+        if self.current[link].replace(start).is_some_and(|before| before != start) {
+            self.counted.users[link].iter_mut().for_each(ArrivalUser::restart);
+        }
+        match &arrival.event {
+            Event::Samples(samples) if self.overview.is_compared(samples) => {
+                self.take_samples(link, start, samples, arrival.host_ns, false);
+            }
+            Event::Late(samples) if self.overview.is_compared(samples) => {
+                self.take_samples(link, start, samples, arrival.host_ns, true);
+            }
+            event => {
+                // The device reports both links' status on each link.
+                let Some(status) = status_of(event) else { return };
+                let links = [status.cable, status.wireless];
+                for (meter, status) in self.counted.meters.iter_mut().zip(links) {
+                    meter.report_status(start, status);
+                }
+            }
+        }
+    }
+
+    fn take_entry(&mut self, link: usize, entry: Recorded) {
+        let meter = &mut self.counted.meters[link];
+        match entry {
+            Recorded::Lost { host_ns, .. } => meter.close(host_ns),
+            Recorded::Damaged { .. } => {
+                meter.interrupt();
+                self.counted.users[link].iter_mut().for_each(ArrivalUser::restart);
+            }
+            entry => meter.is_open(entry.host_ns()),
+        }
+    }
+
+    fn take_samples(
+        &mut self,
+        link: usize,
+        start: Start,
+        samples: &Samples,
+        host_ns: u64,
+        is_late: bool,
+    ) {
+        let overview = self.overview;
+        let Some(clock) = overview.clock(start) else { return };
+        self.counted.meters[link].take(start, samples, is_late, host_ns, clock);
+        if !is_late {
+            self.counted.by_arrival(link, start, samples, host_ns, overview, clock);
+        }
+        for sample in samples.iter() {
+            let Some((twin, twin_rate)) = self.pairing.pair(link, start, &sample) else {
+                continue;
+            };
+            let both = in_order(link, sample.value, twin);
+            self.counted.count_pair(both, sample.rate, twin_rate);
+            let Some(unit) = overview.unit(start, sample.sequence) else {
+                self.counted.without_unit += 1;
+                continue;
+            };
+            self.counted.compare(both, &unit);
+            let true_ns = clock.host_ns(sample.time);
+            if self.excerpt_ns.contains(&true_ns) {
+                let forces = both.map(|value| unit.mps2(value));
+                self.counted.excerpt.push((overview.seconds(true_ns), forces));
+            }
+        }
+        self.end_slice(host_ns);
+    }
+
+    /// Keeps the fit so far at the end of a slice.
+    fn end_slice(&mut self, host_ns: u64) {
+        let slice = self.overview.slicing().at(host_ns as i64);
+        if slice <= self.slice {
+            return;
+        }
+        self.slice = slice;
+        if let Ok(found) = self.counted.transfer.result() {
+            let axes = [0, 1, 2].map(|axis| Axis::new(&found, axis, self.counted.lsb_mps2));
+            self.counted.evolution.push((self.overview.seconds(host_ns), axes));
+        }
+    }
+}
+
 impl Counted {
     pub fn read<R: Read>(mut reader: RecordingReader<R>, overview: &Overview) -> Result<Self> {
-        let mut counted = Self {
+        let counted = Self {
             meters: [(); 2].map(|()| LinkMeter::new(overview.slicing())),
             pairs: 0,
             identical: 0,
@@ -90,92 +193,45 @@ impl Counted {
             users: Default::default(),
         };
         let middle = overview.span.0 + overview.span_ns() / 2;
-        let excerpt = middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2;
-        let mut pairing = Pairing::default();
-        let mut current = [None; 2];
-        let (slicing, mut slice) = (overview.slicing(), 0);
+        let mut reading = Reading {
+            overview,
+            excerpt_ns: middle.saturating_sub(EXCERPT_NS / 2)..=middle + EXCERPT_NS / 2,
+            counted,
+            pairing: Pairing::default(),
+            current: [None; 2],
+            slice: 0,
+        };
         walk(&mut reader, |role, start, step| {
-            let link = index_of(role);
-            let meter = &mut counted.meters[link];
-            let arrival = match step {
-                Step::Arrival(arrival) => arrival,
-                Step::Other(entry) => {
-                    match entry {
-                        Recorded::Lost { host_ns, .. } => meter.close(host_ns),
-                        Recorded::Damaged { .. } => {
-                            meter.interrupt();
-                            counted.users[link].iter_mut().for_each(ArrivalUser::restart);
-                        }
-                        entry => meter.is_open(entry.host_ns()),
-                    }
-                    return Ok(());
-                }
-            };
-            meter.is_open(arrival.host_ns);
-            if current[link].replace(start).is_some_and(|s| s != start) {
-                counted.users[link].iter_mut().for_each(ArrivalUser::restart);
-            }
-            let (samples, is_late) = match &arrival.event {
-                Event::Samples(samples) if overview.is_compared(samples) => (samples, false),
-                Event::Late(samples) if overview.is_compared(samples) => (samples, true),
-                event => {
-                    // The device reports both links' status on each link.
-                    if let Some(status) = status_of(event) {
-                        let links = [status.cable, status.wireless];
-                        for (meter, status) in counted.meters.iter_mut().zip(links) {
-                            meter.report_status(start, status);
-                        }
-                    }
-                    return Ok(());
-                }
-            };
-            let host_ns = arrival.host_ns;
-            let Some(clock) = overview.clock(start) else {
-                return Ok(());
-            };
-            meter.take(start, samples, is_late, host_ns, clock);
-            if !is_late {
-                counted.by_arrival(link, start, samples, host_ns, overview, clock);
-            }
-            for sample in samples.iter() {
-                let Some((twin, twin_rate)) = pairing.pair(link, start, &sample) else {
-                    continue;
-                };
-                let [cable, wireless] = in_order(link, sample.value, twin);
-                counted.pairs += 1;
-                let rates_differ = sample.rate != twin_rate;
-                counted.with_rates += u64::from(sample.rate.is_some() && twin_rate.is_some());
-                counted.rates_differ += u64::from(rates_differ);
-                counted.identical += u64::from(cable == wireless && !rates_differ);
-                let Some(unit) = overview.unit(start, sample.sequence) else {
-                    counted.without_unit += 1;
-                    continue;
-                };
-                counted.lsb_mps2 = counted.lsb_mps2.max(unit.mps2_per_lsb());
-                let [c, w] = [cable, wireless].map(|value| unit.mps2(value));
-                if unit.is_saturated(cable) || unit.is_saturated(wireless) {
-                    counted.saturated += 1;
-                } else {
-                    counted.before.take(cable, wireless, unit.mps2_per_lsb());
-                    counted.transfer.push(c, w);
-                }
-                let true_ns = clock.host_ns(sample.time);
-                if excerpt.contains(&true_ns) {
-                    counted.excerpt.push((overview.seconds(true_ns), [c, w]));
-                }
-            }
-            if slicing.at(host_ns as i64) > slice {
-                slice = slicing.at(host_ns as i64);
-                if let Ok(found) = counted.transfer.result() {
-                    let axes = [0, 1, 2].map(|axis| Axis::new(&found, axis, counted.lsb_mps2));
-                    counted.evolution.push((overview.seconds(host_ns), axes));
-                }
-            }
+            reading.take(index_of(role), start, step);
             Ok(())
         })?;
+        let mut counted = reading.counted;
         counted.count_losses(overview);
         counted.excerpt.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(counted)
+    }
+
+    fn count_pair<T: PartialEq>(
+        &mut self,
+        [cable, wireless]: [[i32; 3]; 2],
+        rate: Option<T>,
+        twin_rate: Option<T>,
+    ) {
+        let rates_differ = rate != twin_rate;
+        self.pairs += 1;
+        self.with_rates += u64::from(rate.is_some() && twin_rate.is_some());
+        self.rates_differ += u64::from(rates_differ);
+        self.identical += u64::from(cable == wireless && !rates_differ);
+    }
+
+    fn compare(&mut self, [cable, wireless]: [[i32; 3]; 2], unit: &SampleUnit) {
+        self.lsb_mps2 = self.lsb_mps2.max(unit.mps2_per_lsb());
+        if unit.is_saturated(cable) || unit.is_saturated(wireless) {
+            self.saturated += 1;
+            return;
+        }
+        self.before.take(cable, wireless, unit.mps2_per_lsb());
+        self.transfer.push(unit.mps2(cable), unit.mps2(wireless));
     }
 
     /// What each link lacks of the samples that it or the other one delivered.

@@ -93,6 +93,8 @@ pub struct Guided {
     poses_file: PathBuf,
     /// File of the calibration.
     file: PathBuf,
+    /// Whether that file has the poses of an earlier session, which are kept as `.old.csv`.
+    has_earlier: bool,
     /// Whether poses are saved after each capture.
     pub saves: bool,
     written: bool,
@@ -127,6 +129,7 @@ impl Guided {
         Self {
             options: plan.options().clone(),
             name: name.to_owned(),
+            has_earlier: poses_file.exists(),
             poses_file,
             file: file.to_owned(),
             saves: true,
@@ -181,6 +184,9 @@ impl Guided {
     fn save(&mut self) {
         if !self.saves {
             return;
+        }
+        if std::mem::take(&mut self.has_earlier) {
+            let _ = std::fs::rename(&self.poses_file, self.poses_file.with_extension("old.csv"));
         }
         if self.live.poses().is_empty() {
             let _ = std::fs::remove_file(&self.poses_file);

@@ -77,11 +77,11 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
     let mut slope_sd = TermDeviations::default();
     for parameter in estimates[0].fitted.iter() {
         let i = parameter.index();
-        theta[i] = best[i].level;
+        theta[i] = best[i].at[0];
         if let Some(slot) = slope_of(parameter) {
-            let unit = if i < 3 { 1.0 } else { best[i].level };
-            theta[slot.index()] = best[i].slope / unit;
-            slope_sd.set(slot, libm::sqrt(lines[i].slope_variance) / unit);
+            let unit = if i < 3 { 1.0 } else { best[i].at[0] };
+            theta[slot.index()] = best[i].at[1] / unit;
+            slope_sd.set(slot, libm::sqrt(lines[i].covariance[(1, 1)]) / unit);
         }
     }
     let model = model(&theta, &sessions)

@@ -80,13 +80,12 @@ impl Guide {
 
     /// The next orientation, of those that `reachable` admits.
     ///
-    /// Of orientations within 1 % of the best, the one that is easiest to hold.
+    /// Of orientations within 1 % of the best, the one that is easiest to hold: faces before edges before corners.
     pub fn next(&self, reachable: impl Fn(Orientation) -> bool) -> Option<Orientation> {
         let mut best: Option<(f64, Orientation)> = None;
-        for orientation in Orientation::BY_EASE {
-            if !reachable(orientation) {
-                continue;
-            }
+        let all = Orientation::ALL.into_iter();
+        let by_ease = (1..=3).flat_map(|axes| all.clone().filter(move |o| o.axes() == axes));
+        for orientation in by_ease.filter(|o| reachable(*o)) {
             let gain = libm::log(1.0 + self.variance(orientation.up()));
             if best.is_none_or(|(most, _)| gain > 1.01 * most) {
                 best = Some((gain, orientation));

@@ -2,6 +2,8 @@
 
 mod moments;
 
+use alloc::vec::Vec;
+
 use crate::Pose;
 pub use moments::Noise;
 use moments::{Block, Moments};
@@ -285,8 +287,7 @@ impl PoseFinder {
 /// °C where there is one, at `rate_hz`.
 ///
 /// Reads the recording twice: for the noise, then for the poses, as [`PoseFinder`] finds them.
-/// Fills `poses` with the first ones and returns the number found, which may be larger.
-pub fn find_poses<I>(samples: I, rate_hz: f64, poses: &mut [Pose]) -> usize
+pub fn find_poses<I>(samples: I, rate_hz: f64) -> Vec<Pose>
 where
     I: Iterator<Item = ([f64; 3], Option<f64>)> + Clone,
 {
@@ -295,21 +296,11 @@ where
         finder.push(output);
     }
     let mut finder = PoseFinder::with_noise(rate_hz, finder.noise());
-    let mut found = 0;
-    let mut keep = |pose: Pose| {
-        if let Some(place) = poses.get_mut(found) {
-            *place = pose;
-        }
-        found += 1;
-    };
+    let mut poses = Vec::new();
     for (output, celsius) in samples {
         finder.set_temperature(celsius);
-        if let Some(pose) = finder.push(output) {
-            keep(pose);
-        }
+        poses.extend(finder.push(output));
     }
-    while let Some(pose) = finder.finish() {
-        keep(pose);
-    }
-    found
+    poses.extend(core::iter::from_fn(|| finder.finish()));
+    poses
 }

@@ -1,7 +1,5 @@
 //! Local gravity, the reference of a calibration.
 
-use core::fmt;
-
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 /// Local gravity and its standard deviation.
@@ -17,36 +15,26 @@ impl Gravity {
     /// 9.80665 ± 0.015 m/s² (1 σ): an unknown location on Earth.
     pub const UNKNOWN_PLACE: Self = Self { mps2: STANDARD_GRAVITY_MPS2, sd_mps2: 0.015 };
 
-    /// Gravity in m/s² and its standard deviation in m/s² (0 where it is taken as exact).
-    ///
-    /// # Errors
-    /// [`GravityError`] when gravity is outside 9.7..=9.9 m/s² or the deviation outside 0..=0.1.
-    pub fn new(mps2: f64, sd_mps2: f64) -> Result<Self, GravityError> {
-        if !(9.7..=9.9).contains(&mps2) {
-            Err(GravityError::OutOfBounds { mps2 })
-        } else if !(0.0..=0.1).contains(&sd_mps2) {
-            Err(GravityError::DeviationOutOfBounds { sd_mps2 })
-        } else {
-            Ok(Self { mps2, sd_mps2 })
-        }
+    /// Gravity in m/s² and its standard deviation in m/s², 0 where it is taken as exact. `None` when gravity is outside
+    /// 9.7..=9.9 m/s² or the deviation outside 0..=0.1.
+    pub fn new(mps2: f64, sd_mps2: f64) -> Option<Self> {
+        let is_possible = (9.7..=9.9).contains(&mps2) && (0.0..=0.1).contains(&sd_mps2);
+        is_possible.then_some(Self { mps2, sd_mps2 })
     }
 
     /// Normal gravity of the WGS 84 ellipsoid at a geodetic latitude, degrees, and a height above the
     /// ellipsoid, m, ± 0.0005 m/s² (1 σ). Equation (156), NIMA TR8350.2. The height above sea level
-    /// serves too: it differs by at most 0.1 km, which is 0.0003 m/s².
+    /// serves too: it differs by at most 0.1 km, which is 0.0003 m/s². `None` when the latitude is outside ±90° or the
+    /// height outside −500..=9000 m.
     ///
     /// ```
     /// use wimu_calib::Gravity;
     ///
     /// // The National Physical Laboratory in Teddington, where it is 9.8118 m/s².
-    /// let teddington = Gravity::at(51.424, 10.0)?;
+    /// let teddington = Gravity::at(51.424, 10.0).expect("on Earth");
     /// assert!((teddington.mps2() - 9.8118).abs() < 2.0 * teddington.sd_mps2());
-    /// # Ok::<(), wimu_calib::GravityError>(())
     /// ```
-    ///
-    /// # Errors
-    /// [`GravityError`] when the latitude is outside ±90° or the height outside −500..=9000 m.
-    pub fn at(latitude_deg: f64, height_m: f64) -> Result<Self, GravityError> {
+    pub fn at(latitude_deg: f64, height_m: f64) -> Option<Self> {
         // Of the ellipsoid: gravity at the equator, m/s², the constant of Somigliana's formula, the
         // square of the first eccentricity, semi-major axis, m, flattening, ω²a²b/GM.
         const EQUATOR_MPS2: f64 = 9.780_325_335_9;
@@ -55,11 +43,8 @@ impl Gravity {
         const A_M: f64 = 6_378_137.0;
         const F: f64 = 1.0 / 298.257_223_563;
         const M: f64 = 0.003_449_786_506_84;
-        if !(-90.0..=90.0).contains(&latitude_deg) {
-            return Err(GravityError::Latitude { latitude_deg });
-        }
-        if !(-500.0..=9000.0).contains(&height_m) {
-            return Err(GravityError::Height { height_m });
+        if !((-90.0..=90.0).contains(&latitude_deg) && (-500.0..=9000.0).contains(&height_m)) {
+            return None;
         }
         let sin = libm::sin(latitude_deg.to_radians());
         let s2 = sin * sin;
@@ -90,59 +75,6 @@ impl Default for Gravity {
     }
 }
 
-/// A value that cannot be local gravity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum GravityError {
-    /// Gravity is outside the range on Earth.
-    OutOfBounds {
-        /// What was given, m/s².
-        mps2: f64,
-    },
-    /// The standard deviation is negative, too large or not a number.
-    DeviationOutOfBounds {
-        /// What was given, m/s².
-        sd_mps2: f64,
-    },
-    /// The latitude is outside ±90° or not a number.
-    Latitude {
-        /// What was given, degrees.
-        latitude_deg: f64,
-    },
-    /// The height is outside −500 to 9000 m or not a number.
-    Height {
-        /// What was given, m.
-        height_m: f64,
-    },
-}
-
-impl fmt::Display for GravityError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::OutOfBounds { mps2 } if (0.5..2.0).contains(&mps2) => write!(
-                out,
-                "gravity {mps2} looks like g: give local gravity in m/s², 9.764 to 9.834 on Earth"
-            ),
-            Self::OutOfBounds { mps2 } => write!(
-                out,
-                "gravity {mps2} m/s² is outside 9.7 to 9.9: give local gravity in m/s², 9.764 to \
-                 9.834 on Earth"
-            ),
-            Self::DeviationOutOfBounds { sd_mps2 } => write!(
-                out,
-                "the standard deviation of gravity, {sd_mps2} m/s², is outside 0 to 0.1 m/s²"
-            ),
-            Self::Latitude { latitude_deg } => {
-                write!(out, "latitude {latitude_deg}° is outside -90 to 90°")
-            }
-            Self::Height { height_m } => {
-                write!(out, "height {height_m} m is outside -500 to 9000 m")
-            }
-        }
-    }
-}
-
-impl core::error::Error for GravityError {}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -171,13 +103,13 @@ mod tests {
     fn no_place_on_earth_is_refused_and_others_are() {
         for latitude in [-90.0, 0.0, 90.0] {
             for height in [-500.0, 9000.0] {
-                assert!(Gravity::at(latitude, height).is_ok());
+                assert!(Gravity::at(latitude, height).is_some());
             }
         }
         for (latitude, height) in
             [(90.1, 0.0), (f64::NAN, 0.0), (0.0, -501.0), (0.0, 9001.0), (0.0, f64::NAN)]
         {
-            assert!(Gravity::at(latitude, height).is_err());
+            assert!(Gravity::at(latitude, height).is_none());
         }
     }
 }

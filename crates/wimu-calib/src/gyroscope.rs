@@ -1,12 +1,12 @@
 //! Gyroscope calibration from the rotations between rests.
 
-mod advice;
 mod checks;
+mod fault;
 mod model;
 mod rests;
 mod turn;
 
-pub use advice::{GyroscopeAdvice, TurnFault};
+pub use fault::TurnFault;
 
 use nalgebra::{SMatrix, SVector};
 use wimu_model::{
@@ -14,8 +14,11 @@ use wimu_model::{
     STANDARD_GRAVITY_MPS2,
 };
 
+use alloc::format;
+use alloc::string::String;
 use alloc::vec::Vec;
 
+use crate::orientation::axis_name;
 use crate::{Covariance, Estimate, Parameters, Pose, Refusal, student};
 use model::{Angles, Fit, Noise, Point, Rotations, Squares};
 use rests::Session;
@@ -300,21 +303,24 @@ impl GyroscopeEstimate {
     }
 
     /// The movement that would improve the result most; `None` if A is known to 0.1 % and G is observed.
-    pub fn advice(&self) -> Option<GyroscopeAdvice> {
+    pub fn advice(&self) -> Option<String> {
         let worst = |first: usize| {
-            let column = |axis| (0..3).map(move |row| first + 3 * row + axis);
-            let sd = |axis| column(axis).map(|i| self.sd(i)).fold(0.0, f64::max);
-            let axes = (0..3).map(|axis| (axis, sd(axis)));
-            axes.fold((0, 0.0), |most, new| if new.1 > most.1 { new } else { most })
+            let sd =
+                |axis: usize| (0..3).map(|row| self.sd(first + 3 * row + axis)).fold(0.0, f64::max);
+            (0..3)
+                .map(|axis| (sd(axis), axis))
+                .fold((0.0, 0), |most, new| if new.0 > most.0 { new } else { most })
         };
-        let (turn, sd) = worst(MATRIX);
-        let (rest, _) = worst(G_SENSITIVITY);
+        let (sd, axis) = worst(MATRIX);
         if sd > GOOD_ENOUGH {
-            Some(GyroscopeAdvice::Turn { axis: turn })
-        } else {
-            (G_SENSITIVITY..PARAMETERS)
-                .any(|i| !self.observed(i))
-                .then_some(GyroscopeAdvice::Rest { axis: rest })
+            return Some(format!(
+                "hold axis {} level, rotate by 90° to 180° about it within three seconds, and hold still; start with \
+                 different sides up",
+                axis_name(axis)
+            ));
         }
+        let name = axis_name(worst(G_SENSITIVITY).1);
+        let is_unknown = (G_SENSITIVITY..PARAMETERS).any(|i| !self.observed(i));
+        is_unknown.then(|| format!("hold still with {name} up, and with {name} down"))
     }
 }

@@ -9,7 +9,6 @@ pub mod array;
 mod blocks;
 mod combined;
 mod covariance;
-mod datasheet;
 mod design;
 mod ellipsoid;
 mod estimate;
@@ -46,14 +45,12 @@ mod weights;
 pub use alignment::{AlignmentEstimate, KnownDirection, align, straight_move};
 pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
-pub use datasheet::{Datasheet, Finding, Limit, Quantity, Verdict};
 pub use design::Guide;
 pub use estimate::{Deviations, Drift, Estimate, Method, TermDeviations};
 pub use finder::{Noise, PoseFinder, find_poses};
-pub use gravity::{Gravity, GravityError};
+pub use gravity::Gravity;
 pub use gyroscope::{
-    AccelerometerCalibration, GyroscopeAdvice, GyroscopeEstimate, GyroscopeSession, SixAxisSample,
-    TurnFault,
+    AccelerometerCalibration, GyroscopeEstimate, GyroscopeSession, SixAxisSample, TurnFault,
 };
 pub use magnetometer::{MagneticEstimate, MagneticPose, magnetometer};
 pub use multi_position::{MultiPosition, multi_position};
@@ -61,7 +58,7 @@ pub use nested::{Nested, TestedPose, Unexplained};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured};
 pub use orientation::{Face, Instruction, Orientation};
 pub use parameter::{Parameter, Parameters};
-pub use placement::{Placement, PlacementError};
+pub use placement::Placement;
 pub use pose::Pose;
 pub use reference::{AxisTransfer, Line, NoiseFrom, ReferenceTransfer, Transfer};
 pub use refusal::{Reason, Refusal, UnitHint};

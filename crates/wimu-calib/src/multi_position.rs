@@ -52,7 +52,8 @@ impl MultiPosition {
 ///     Pose::from_mean(up.map(|c| 9.81 * c + 0.2))
 /// });
 /// let what = MultiPosition { priors: true, ..MultiPosition::default() };
-/// let estimate = multi_position(&poses, Gravity::new(9.81, 0.0)?, what)?;
+/// let gravity = Gravity::new(9.81, 0.0).ok_or("on Earth")?;
+/// let estimate = multi_position(&poses, gravity, what)?;
 /// // What the poses do not determine is in the interval.
 /// let half_width = estimate.half_width_95(Parameter::BiasX);
 /// assert!((estimate.model.terms().bias_mps2[0] - 0.2).abs() < half_width);

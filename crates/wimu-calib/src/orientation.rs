@@ -88,26 +88,6 @@ impl Orientation {
         all
     };
 
-    /// All orientations, the easiest to hold first: faces, then edges, then corners.
-    pub const BY_EASE: [Self; 26] = {
-        let mut all = [Self([0; 3]); 26];
-        let mut filled = 0;
-        let mut axes = 1;
-        while axes <= 3 {
-            let mut i = 0;
-            while i < 26 {
-                let Self([x, y, z]) = Self::ALL[i];
-                if x * x + y * y + z * z == axes {
-                    all[filled] = Self::ALL[i];
-                    filled += 1;
-                }
-                i += 1;
-            }
-            axes += 1;
-        }
-        all
-    };
-
     /// Index in [`Orientation::ALL`], 0..26.
     pub fn index(self) -> usize {
         let [x, y, z] = self.0.map(|sign| (sign + 1) as usize);

@@ -249,7 +249,7 @@ impl ReferenceTransfer {
 
     fn axis(&self, axis: usize, origins: Pair, all: &Sums) -> Result<AxisTransfer, Refusal> {
         let origin = origins.map(|origin| origin[axis]);
-        let moments = all.central().axis(axis);
+        let moments = all.axis(axis).moments();
         // Jackknife over the blocks: equation (51).
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
         for block in self.blocks.all() {

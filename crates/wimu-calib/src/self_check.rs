@@ -1,5 +1,6 @@
 //! Verification and recursive update of a stored calibration: equation (48).
 
+use nalgebra::{SMatrix, SVector};
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
 use crate::force;
@@ -25,58 +26,6 @@ impl Default for Ageing {
     }
 }
 
-/// Uncertainty of the temperature dependence of the bias.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Slopes {
-    /// Standard deviation of the slopes, m/s² per K, within the calibrated temperatures `seen_c`.
-    sd: [f64; 3],
-    seen_c: [f64; 2],
-    /// Standard deviation outside them.
-    beyond: f64,
-}
-
-impl Slopes {
-    fn unknown(per_kelvin_mps2: f64) -> Self {
-        Self {
-            sd: [per_kelvin_mps2; 3],
-            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
-            beyond: per_kelvin_mps2,
-        }
-    }
-
-    /// Integral of the standard deviation over temperature, m/s².
-    fn at(&self, axis: usize, celsius: f64) -> f64 {
-        let [low, high] = self.seen_c;
-        let within = celsius.max(low).min(high);
-        let sd = self.sd.get(axis).copied().unwrap_or(self.beyond);
-        sd * within + self.beyond * (celsius - within)
-    }
-}
-
-/// A monotonic temperature change, within which the slope error accumulates.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Warming {
-    began_c: f64,
-    last_c: f64,
-}
-
-impl Warming {
-    fn from(celsius: f64) -> Self {
-        Self { began_c: celsius, last_c: celsius }
-    }
-
-    /// Moves to `now`, or starts again when the direction changes. Returns the previous
-    /// temperature.
-    fn to(&mut self, now: f64) -> f64 {
-        let before = self.last_c;
-        if (now - before) * (before - self.began_c) < 0.0 {
-            self.began_c = before;
-        }
-        self.last_c = now;
-        before
-    }
-}
-
 /// Result of a check with one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Check {
@@ -95,9 +44,8 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 /// A stored calibration that is verified and updated at every rest.
 ///
 /// Measured with the default ageing, 1000 runs of twelve rests, turn-on bias 15 mm/s² per axis: 0.8
-/// % of the runs contradict the calibration at a rest, none at two successive rests, which a device
-/// requires for a report. A bias step after six rests is contradicted within the next six, and
-/// reported by a device, in 9 and 0.4 % of the runs for 10 mm/s², in 72 and 25 % for 20, in 96 and
+/// % of the runs contradict the calibration at a rest, none at two successive rests. A bias step after six rests is contradicted within the next six, and
+/// contradicted at two successive rests, in 9 and 0.4 % of the runs for 10 mm/s², in 72 and 25 % for 20, in 96 and
 /// 67 % for 30, and in 100 and 92 % for 50.
 ///
 /// ```
@@ -120,11 +68,14 @@ pub struct SelfCheck {
     stored: ErrorModel,
     theta: Theta,
     /// Without the uncertainty of gravity.
-    covariance: [[f64; Parameter::COUNT]; Parameter::COUNT],
+    covariance: SMatrix<f64, 12, 12>,
     gravity: Gravity,
     ageing: Ageing,
-    slopes: Slopes,
-    warming: Option<Warming>,
+    /// Standard deviation of the bias per kelvin, m/s², within the calibrated temperatures, °C, and those.
+    slope_sd: [f64; 3],
+    seen_c: [f64; 2],
+    /// Temperature of the calibration, else of the first rest, and of the latest rest, °C.
+    temperatures_c: Option<[f64; 2]>,
     poses: u32,
     contradictions: u32,
 }
@@ -149,11 +100,12 @@ impl SelfCheck {
         Self {
             stored: *stored,
             theta,
-            covariance: *covariance.matrix(),
+            covariance: (*covariance.matrix()).into(),
             gravity,
             ageing,
-            slopes: Slopes::unknown(ageing.per_kelvin_mps2),
-            warming: None,
+            slope_sd: [ageing.per_kelvin_mps2; 3],
+            seen_c: [f64::NEG_INFINITY, f64::INFINITY],
+            temperatures_c: None,
             poses: 0,
             contradictions: 0,
         }
@@ -167,15 +119,12 @@ impl SelfCheck {
     pub fn of(set: &ParameterSet, gravity: Gravity, ageing: Ageing) -> Option<Self> {
         let quality = set.quality.as_ref()?.terms();
         let mut check = Self::new(&set.model, &quality.covariance.matrix(), gravity, ageing);
-        check.warming = quality.temperature.map(|t| Warming::from(f64::from(t.mean_c)));
+        check.temperatures_c = quality.temperature.map(|t| [f64::from(t.mean_c); 2]);
         if let Some(seen) = quality.temperature
             && set.model.terms().temperature.bias_mps2_per_k != [0.0; 3]
         {
-            check.slopes = Slopes {
-                sd: quality.other_sd.bias_mps2_per_k.map(f64::from),
-                seen_c: [f64::from(seen.lowest_c), f64::from(seen.highest_c)],
-                ..check.slopes
-            };
+            check.slope_sd = quality.other_sd.bias_mps2_per_k.map(f64::from);
+            check.seen_c = [f64::from(seen.lowest_c), f64::from(seen.highest_c)];
         }
         Some(check)
     }
@@ -195,48 +144,39 @@ impl SelfCheck {
             .filter(|(force, _)| (0.5 * g..1.5 * g).contains(force))?;
 
         if let Some(now) = celsius {
-            let warming = self.warming.get_or_insert(Warming::from(now));
-            let before = warming.to(now);
+            let [from, before] = *self.temperatures_c.get_or_insert([now; 2]);
             for axis in 0..3 {
-                let moved = |from: f64, to: f64| {
-                    let by = self.slopes.at(axis, to) - self.slopes.at(axis, from);
-                    by * by
-                };
-                let more = moved(warming.began_c, now) - moved(warming.began_c, before);
-                self.covariance[axis][axis] += more.max(0.0);
+                let moved = |to: f64| self.thermal_sd(axis, to) - self.thermal_sd(axis, from);
+                let more = moved(now) * moved(now) - moved(before) * moved(before);
+                self.covariance[(axis, axis)] += more.max(0.0);
             }
+            self.temperatures_c = Some([from, now]);
         }
 
         let residual_mps2 = force - g;
-        let product = |a: &[f64; Parameter::COUNT]| {
-            let mut sum = 0.0;
-            for (a, b) in a.iter().zip(&row) {
-                sum += *a * *b;
-            }
-            sum
-        };
-        let along: [f64; Parameter::COUNT] = core::array::from_fn(|i| product(&self.covariance[i]));
-        let known = product(&along);
+        let row = SVector::from(row);
+        let along = self.covariance * row;
         let apart = self.ageing.pose_mps2 * self.ageing.pose_mps2 + pose.mean_noise();
-        let variance = known + apart;
-        let expected = libm::sqrt(variance);
-        let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected;
+        let variance = row.dot(&along) + apart;
+        let expected_sd_mps2 = libm::sqrt(variance);
+        let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected_sd_mps2;
         self.poses = self.poses.saturating_add(1);
         if holds && variance > 0.0 {
-            let per_variance = 1.0 / variance;
-            let gain = along.map(|along| along * per_variance);
-            for (theta, gain) in self.theta.iter_mut().zip(gain) {
-                *theta -= gain * residual_mps2;
+            for (theta, along) in self.theta.iter_mut().zip(&along) {
+                *theta -= along / variance * residual_mps2;
             }
-            for (row, gain) in self.covariance.iter_mut().zip(gain) {
-                for (covariance, along) in row.iter_mut().zip(along) {
-                    *covariance -= gain * along;
-                }
-            }
+            self.covariance.ger(-1.0 / variance, &along, &along, 1.0);
         } else {
             self.contradictions = self.contradictions.saturating_add(1);
         }
-        Some(Check { residual_mps2, expected_sd_mps2: expected, holds })
+        Some(Check { residual_mps2, expected_sd_mps2, holds })
+    }
+
+    /// Integral over temperature of the standard deviation of the bias per kelvin, m/s².
+    fn thermal_sd(&self, axis: usize, celsius: f64) -> f64 {
+        let [low, high] = self.seen_c;
+        let within = celsius.max(low).min(high);
+        self.slope_sd[axis] * within + self.ageing.per_kelvin_mps2 * (celsius - within)
     }
 
     /// Number of poses.
@@ -262,7 +202,7 @@ impl SelfCheck {
 
     /// Covariance of the 12 parameters, including the uncertainty of gravity.
     pub fn covariance(&self) -> Covariance {
-        let mut covariance = Covariance::from_matrix(&self.covariance);
+        let mut covariance = Covariance::from_matrix(&self.covariance.into());
         covariance.add_gravity(&self.theta, self.gravity);
         covariance
     }

@@ -73,16 +73,6 @@ pub fn four_angle(
 /// Three readings determine bias, scale factor and initial angle: no redundancy is left for a
 /// check.
 ///
-/// ```
-/// use wimu_calib::{Gravity, Placement, Pose, three_angle};
-///
-/// let turn = [[9.9, 0.0, 0.0], [-4.8, 8.487, 0.0], [-4.8, -8.487, 0.0]];
-/// let poses = turn.map(Pose::from_mean);
-/// let estimate = three_angle(&poses, Gravity::UNKNOWN_PLACE, Placement::BY_HAND)?;
-/// assert!((estimate.model.terms().bias_mps2[0] - 0.1).abs() < 1e-12);
-/// # Ok::<(), wimu_calib::Refusal>(())
-/// ```
-///
 /// # Errors
 /// [`Refusal`] when the poses are not such turns or the result is no accelerometer's.
 pub fn three_angle(
@@ -185,7 +175,7 @@ fn turns(
     let g = gravity.mps2();
     let whole = poses.chunks_exact(steps);
     if poses.len() < steps || !whole.remainder().is_empty() {
-        return Err(not_a_turn(poses.len() - whole.remainder().len(), steps));
+        return Err(incomplete(poses.len(), steps));
     }
     let turns = whole.enumerate().map(|(number, poses)| Turn::new(number * steps, poses, g));
     let turns = turns.collect::<Result<Vec<Turn<'_>>, Refusal>>()?;
@@ -248,6 +238,15 @@ fn turns(
 /// The refusal of the rotation of `steps` that begins with pose `index`.
 fn refusal(index: usize, steps: usize, why: &str) -> Refusal {
     let text = format!("poses {index} to {} (from 0): {why}", index + steps - 1);
+    Refusal::new(Reason::Placement { index, steps }, text)
+}
+
+fn incomplete(poses: usize, steps: usize) -> Refusal {
+    let (index, left, degrees) = (poses - poses % steps, poses % steps, 360 / steps);
+    let text = format!(
+        "The last rotation has {left} of {steps} steps of {degrees}° about a level axis. Give {steps} poses for each rotation, \
+         in order, and no others; hold the sensor still for two seconds at each step."
+    );
     Refusal::new(Reason::Placement { index, steps }, text)
 }
 

@@ -5,7 +5,6 @@ mod array;
 mod bad_pose;
 mod combined;
 mod common;
-mod datasheet;
 mod finder;
 mod guide;
 mod gyroscope;

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use proptest::prelude::*;
 use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array};
-use wimu_calib::{Pose, Reason, find_poses};
+use wimu_calib::{Reason, find_poses};
 use wimu_model::geometry::Geometry;
 use wimu_testkit::{Coverage, Lane, Random, coverage_figure, draws, figure};
 
@@ -348,10 +348,9 @@ fn a_real_array_agrees_with_its_drawing_and_shows_its_proof_masses() {
             let of_axis = |i: usize| (0..8).map(|s| row[3 * s + i]).sum::<f64>() / 8.0;
             ([0, 1, 2].map(of_axis), None)
         });
-        let mut poses = [Pose::default(); 64];
-        let found = find_poses(mean, 62.5, &mut poses).min(64);
+        let poses = find_poses(mean, 62.5);
         let rests: Vec<(usize, usize)> =
-            poses[..found].iter().map(|p| (p.first_sample as usize, p.samples as usize)).collect();
+            poses.iter().map(|p| (p.first_sample as usize, p.samples as usize)).collect();
         let (p, h) = (9.45e-3, 1.0e-3);
         let geometry = Geometry::eight_triads_board(p, h, 0.045).unwrap();
         let data = ArrayData {

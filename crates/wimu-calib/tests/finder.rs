@@ -57,9 +57,7 @@ fn stream(random: &mut Random, rate: f64, sd: f64, step: f64, count: usize, hold
 }
 
 fn poses(samples: &[[f64; 3]], rate: f64) -> Vec<Pose> {
-    let mut room = [Pose::default(); 200];
-    let found = find_poses(samples.iter().map(|y| (*y, None)), rate, &mut room);
-    room[..found].to_vec()
+    find_poses(samples.iter().map(|y| (*y, None)), rate)
 }
 
 fn streamed(finder: &mut PoseFinder, samples: &[[f64; 3]]) -> Vec<Pose> {
@@ -294,9 +292,8 @@ fn the_temperature_of_a_pose_is_the_mean_while_it_was_held() {
     let stream = stream(&mut random, 100.0, 0.02, 0.0, 2, 3.0);
     let samples = stream.samples.iter().enumerate();
     let samples = samples.map(|(k, y)| (*y, Some(20.0 + k as f64 * 0.01)));
-    let mut found = [Pose::default(); 1];
-    // More poses than room: the first is kept, the second only counted.
-    assert_eq!(find_poses(samples, 100.0, &mut found), 2);
+    let found = find_poses(samples, 100.0);
+    assert_eq!(found.len(), 2);
     let middle = found[0].first_sample as f64 + (f64::from(found[0].samples) - 1.0) / 2.0;
     let celsius = found[0].temperature_c.expect("a temperature");
     assert!((celsius - (20.0 + middle * 0.01)).abs() < 1e-9);

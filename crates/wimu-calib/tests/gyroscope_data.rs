@@ -27,10 +27,7 @@ fn samples(rows: &[Vec<String>], [force, rate]: [usize; 2], units: [f64; 2]) -> 
 }
 
 fn rests(samples: &[SixAxisSample], rate_hz: f64) -> Vec<Pose> {
-    let mut poses = vec![Pose::default(); 200];
-    let found = find_poses(samples.iter().map(|s| (s.output_mps2, None)), rate_hz, &mut poses);
-    poses.truncate(found);
-    poses
+    find_poses(samples.iter().map(|s| (s.output_mps2, None)), rate_hz)
 }
 
 /// Hamilton product of W, X, Y, Z.
@@ -118,7 +115,7 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
             all.bias_walk_rad_s_rts,
             all.turn_error,
             all.left_out,
-            all.advice().map_or(String::new(), |a| a.to_string()),
+            all.advice().unwrap_or_default(),
         );
         let used = |k: &usize| all.left_out.iter().all(|(turn, _)| *turn != *k);
         for k in (0..poses.len() - 1).filter(used) {

@@ -17,9 +17,7 @@ fn array_gravity() -> Gravity {
 }
 
 fn poses(samples: &[[f64; 3]], rate_hz: f64) -> Vec<Pose> {
-    let mut room = [Pose::default(); 100];
-    let found = find_poses(samples.iter().map(|y| (*y, None)), rate_hz, &mut room);
-    room[..found].to_vec()
+    find_poses(samples.iter().map(|y| (*y, None)), rate_hz)
 }
 
 fn rms_mm(estimate: &Estimate) -> f64 {

@@ -28,9 +28,7 @@ fn held(random: &mut Random, model: &ErrorModel, ups: &[[f64; 3]], noise: f64) -
             samples.push((output, None));
         }
     }
-    let mut poses = [Pose::default(); 64];
-    let found = find_poses(samples.iter().copied(), RATE_HZ, &mut poses);
-    poses[..found].to_vec()
+    find_poses(samples.iter().copied(), RATE_HZ)
 }
 
 /// How far the mean of a pose is from what the sensor would put out without noise or rounding.

@@ -18,7 +18,10 @@ fn session(
     visits: usize,
     [stays, new]: [f64; 2],
 ) -> Vec<Pose> {
-    let ups: Vec<_> = Orientation::BY_EASE
+    // Faces, then edges, then corners.
+    let mut spread = Orientation::ALL;
+    spread.sort_by_key(|orientation| orientation.up().iter().filter(|c| **c != 0.0).count());
+    let ups: Vec<_> = spread
         .into_iter()
         .take(orientations)
         .map(|orientation| misplaced(random, orientation.up(), 6.0 * DEGREE))

@@ -20,7 +20,7 @@ pub mod source;
 mod update;
 
 pub use correction::Correction;
-pub use datasheet::{DatasheetReport, LimitReport, datasheet};
+pub use datasheet::{Datasheet, DatasheetReport, LimitReport, datasheet};
 pub use describe::{Change, Difference, describe, not_observed, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
@@ -42,12 +42,12 @@ pub use several::{Repeatability, SessionReport, SeveralFit, SeveralReport, calib
 pub use source::compiled_for;
 pub use update::{RestReport, UpdateReport, update};
 
-use wimu_calib::{Datasheet, Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
+use wimu_calib::{Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
 
 use crate::plural::counted;
 use crate::recording::Samples;
 use crate::stats::{median, norm as magnitude};
-use crate::{Code, Problem, Result};
+use crate::{Code, Result};
 
 /// Range of sensitivities that a sensor can have, LSB/*g*: from 8 bits at ±100 *g* to 27 bits at ±1 *g*. The range
 /// that a board accepts is narrower: [`Sensitivity::from_lsb_per_g`].
@@ -185,17 +185,20 @@ impl CalibrateOptions {
             }
             (None, None) => return Ok((Gravity::UNKNOWN_PLACE, Source::Default)),
         };
-        Ok((
-            gravity
-                .map_err(|error| Code::Usage.error(error.to_string(), format!("check {flag}")))?,
-            source,
-        ))
+        let Some(gravity) = gravity else {
+            let text = "local gravity on Earth is 9.764 to 9.834 m/s², at latitudes of -90 to 90° and heights of -500 to 9000 m";
+            return Err(Code::Usage.error(text, format!("check {flag}")));
+        };
+        Ok((gravity, source))
     }
 
     fn placement(&self) -> Result<Placement> {
         let Some(degrees) = self.placement_sd_deg else { return Ok(Placement::BY_HAND) };
-        let usage = |text: String| -> Problem { Code::Usage.error(text, "check --placement-sd") };
-        Placement::new(degrees.to_radians()).map_err(|error| usage(error.to_string()))
+        let outside = || {
+            let text = format!("a placement error of {degrees}° is outside 0 to 5°");
+            Code::Usage.error(text, "check --placement-sd, or use multi-position")
+        };
+        Placement::new(degrees.to_radians()).ok_or_else(outside)
     }
 
     /// Whether there is a side for each pose.

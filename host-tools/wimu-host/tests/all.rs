@@ -45,7 +45,6 @@ mod restarts;
 mod rig;
 mod ros_topics;
 mod session_gyroscope;
-mod several_sessions;
 mod simulated_link;
 mod spool;
 mod table_programs;

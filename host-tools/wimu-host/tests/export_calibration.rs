@@ -9,9 +9,9 @@ use wimu_host::calibration::{
 };
 use wimu_host::csv::AccelerationUnit;
 use wimu_model::{
-    Alignment, CentiCelsius, Corrector, ErrorModel, ErrorTerms, GyroscopeModel,
-    GyroscopeParameters, GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet,
-    STANDARD_GRAVITY_MPS2, Sensitivity, SpecificForceMps2, TemperatureTerms,
+    Alignment, CentiCelsius, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
+    GyroscopeTemperatureTerms, GyroscopeTerms, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity,
+    SpecificForceMps2, TemperatureTerms,
 };
 
 use crate::common::Random;
@@ -169,32 +169,6 @@ fn c_computes_the_same() {
     );
 }
 
-#[test]
-fn rust_computes_the_same() {
-    computes_the_same(
-        ExportTarget::Rust,
-        "wimu_calibration.rs",
-        (
-            "main.rs",
-            "#![deny(warnings)]\nmod wimu_calibration;\nuse wimu_calibration::*;\nfn main() {\n    let _ = (REFERENCE_C, INPUT_TO_MPS2);\n",
-            "}\n",
-        ),
-        |case| {
-            let (at, output, rate) =
-                (case.temperature.to_celsius(), list(case.output), list(case.rate));
-            format!(
-                "    let f = correct([{output}], Some({at:?}));\n    let w = correct_rate([{rate}], f, Some({at:?}));\n    \
-                 println!(\"{{}} {{}} {{}} {{}} {{}} {{}}\", f[0], f[1], f[2], w[0], w[1], w[2]);\n"
-            )
-        },
-        |folder| {
-            run("rustc", &["--edition", "2021", "main.rs"], folder)?;
-            let binary = folder.join("main").display().to_string();
-            run(&binary, &[], folder)
-        },
-    );
-}
-
 /// `WIMU_PYTHON` may name a Python that has NumPy.
 #[test]
 fn numpy_computes_the_same() {
@@ -230,45 +204,6 @@ fn matlab_computes_the_same() {
         },
         |folder| run("octave-cli", &["main.m"], folder),
     );
-}
-
-/// The number after `name` and one separator.
-fn value(text: &str, name: &str) -> f64 {
-    let found = text.split_once(name).unwrap().1;
-    found[1..].split([',', '\t', '\n', ']']).next().unwrap().parse().unwrap()
-}
-
-#[test]
-fn autopilots_have_offset_and_scale_and_say_what_is_left_out() {
-    let folder = tempfile::tempdir().unwrap();
-    for of_counts in [true, false] {
-        let export = export(&set(), of_counts, folder.path());
-        for (target, offset, scale, rate) in [
-            (ExportTarget::Px4, "CAL_ACC0_YOFF", "CAL_ACC0_YSCALE", "CAL_GYRO0_YOFF"),
-            (ExportTarget::Ardupilot, "INS_ACCOFFS_Y", "INS_ACCSCAL_Y", "INS_GYROFFS_Y"),
-        ] {
-            let text = export.text(target, None);
-            assert_eq!(value(&text, offset), -0.3);
-            assert_eq!(value(&text, rate), -0.02);
-            // The second diagonal element of the inverse of A.
-            assert!((value(&text, scale) - 1.015_27).abs() < 1e-4, "{text}");
-            for word in ["at 24.50 °C", "nonlinearity", "alignment", "cross-axis", "only the bias"]
-            {
-                assert!(text.contains(word), "{word} in {text}");
-            }
-        }
-    }
-    let plain = ParameterSet::uncalibrated(4, set().sensitivity);
-    let plain = export(&plain, true, folder.path());
-    for target in [ExportTarget::Px4, ExportTarget::Ros, ExportTarget::Kalibr] {
-        assert!(plain.findings(target).is_empty());
-    }
-    let mut biased = ParameterSet::uncalibrated(4, set().sensitivity);
-    biased.model =
-        ErrorModel::new(ErrorTerms { bias_mps2: [4.0, 0.0, 0.0], ..ErrorTerms::default() })
-            .unwrap();
-    let biased = export(&biased, true, folder.path()).findings(ExportTarget::Ardupilot);
-    assert!(biased[0].text.contains("ArduPilot takes"), "{biased:?}");
 }
 
 #[test]
@@ -333,23 +268,4 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     let text = kalibr(None);
     let has_noise = |line: &str| line.starts_with("accelerometer_noise");
     assert!(!text.lines().any(has_noise));
-}
-
-#[test]
-fn rust_has_the_integers_of_the_corrector_of_counts_only() {
-    let folder = tempfile::tempdir().unwrap();
-    let set = ParameterSet { gyroscope: None, ..set() };
-    let parts = Corrector::compile(&set, None).unwrap().to_parts();
-    let text = |of_counts| {
-        let export = export(&set, of_counts, folder.path());
-        export.text(ExportTarget::Rust, None)
-    };
-    for line in [
-        format!("SHIFT: u8 = {};", parts.shift),
-        format!("COEFFICIENTS: [[i32; 3]; 3] = {:?};", parts.coefficients),
-        format!("OFFSET: [i32; 3] = {:?};", parts.offset),
-    ] {
-        assert!(text(true).contains(&line), "{line}");
-    }
-    assert!(!text(false).contains("SHIFT"));
 }

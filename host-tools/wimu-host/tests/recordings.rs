@@ -1,6 +1,5 @@
 //! Recordings in memory: rates and gaps of their times, rows joined and dropped, tables of them.
 
-use wimu_host::Code;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::inertial::sampled_times;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
@@ -64,27 +63,6 @@ fn recording(first: i32, rows: i32, si_per_lsb: f64) -> Recording {
 fn counts(recording: &Recording, quantity: Quantity) -> Vec<f64> {
     let track = recording.first(quantity).expect("a track");
     track.vectors().map(|(_, [x, ..])| x).collect()
-}
-
-#[test]
-fn an_earlier_recording_comes_first_with_a_gap_behind_it() {
-    let scale = STANDARD_GRAVITY_MPS2 / 16_384.0;
-    let (earlier, mut later) = (recording(0, 50, scale), recording(7, 30, scale));
-    later.prepend(&earlier).expect("the same scale");
-    let expected: Vec<f64> = (0..50).chain(7..37).map(f64::from).collect();
-    for quantity in [Quantity::SpecificForce, Quantity::AngularRate] {
-        assert_eq!(counts(&later, quantity), expected);
-    }
-    let force = later.first(Quantity::SpecificForce).expect("a track");
-    assert_eq!(force.gaps(), [50]);
-    assert!(force.times_ns().is_sorted_by(|a, b| a < b));
-    assert!(force.times_ns()[50] - force.times_ns()[49] >= 1_000_000_000);
-    // Dropped across the joint.
-    later.drop_latest(31);
-    assert_eq!(counts(&later, Quantity::SpecificForce), expected[..49]);
-    let mut other = recording(0, 5, 2.0 * scale);
-    let error = other.prepend(&earlier).expect_err("another range");
-    assert_eq!(error.code, Code::DataRefused);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Regression of the parameters of several sessions on temperature.
 
+use nalgebra::{Matrix2, Vector2};
 use wimu_model::CalibratedTemperature;
 
 use super::Group;
@@ -10,6 +11,9 @@ use crate::{Covariance, Estimate, Parameter, Parameters};
 const SESSIONS_FOR_SLOPES: usize = 3;
 /// Smallest standard deviation of a parameter within a session, its unit: noiseless data.
 pub(super) const LEAST_SD: f64 = 1e-8;
+
+/// Precision of the prior of a slope that is not estimated, of 0.
+const NO_SLOPE: f64 = 1e30;
 
 /// The temperature coefficient of a bias or scale factor.
 pub(super) fn slope_of(parameter: Parameter) -> Option<Slot> {
@@ -38,19 +42,23 @@ pub(super) struct Between {
 #[derive(Clone, Copy)]
 pub(super) struct Line {
     /// At the reference temperature, and its change per K.
-    pub level: f64,
-    pub slope: f64,
-    pub slope_variance: f64,
-    /// Sum of the weights, and the weighted mean temperature from the reference, K.
-    weight: f64,
-    mean_k: f64,
+    pub at: Vector2<f64>,
+    /// Their covariance, if the variances within and between sessions are right.
+    pub covariance: Matrix2<f64>,
     /// Variance between sessions.
     between: f64,
-    /// Precision of the slope's prior; infinite if it is 0.
+    /// Precision of the slope's prior.
     prior: f64,
     /// Weighted sum of squared residuals, and its expectation.
     residual: f64,
     dof: f64,
+}
+
+impl Line {
+    /// Weight of a session in the level, from its variance and temperature.
+    fn gain(&self, variance: f64, kelvin: f64) -> f64 {
+        (self.covariance[(0, 0)] + self.covariance[(0, 1)] * kelvin) / (variance + self.between)
+    }
 }
 
 impl<'a> Sessions<'a> {
@@ -87,44 +95,27 @@ impl<'a> Sessions<'a> {
     /// Regression on temperature with the variance `between` sessions and the slope's prior.
     /// Equation (152).
     pub fn line(&self, parameter: Parameter, between: f64) -> Line {
-        let prior_sd = slope_of(parameter).filter(|_| self.slopes);
-        let prior_sd = prior_sd.and_then(Slot::usual_sd);
-        let prior = prior_sd.map_or(f64::INFINITY, |sd| 1.0 / (sd * sd));
-        let (mut count, mut weight, mut mean, mut mean_k) = (0.0, 0.0, 0.0, 0.0);
-        for (value, variance, dt) in self.values(parameter) {
-            let w = 1.0 / (variance + between);
-            count += 1.0;
-            weight += w;
-            mean += w * value;
-            mean_k += w * dt;
+        let prior_sd = slope_of(parameter).filter(|_| self.slopes).and_then(Slot::usual_sd);
+        let prior = prior_sd.map_or(NO_SLOPE, |sd| 1.0 / (sd * sd));
+        let row = |kelvin: f64| Vector2::new(1.0, kelvin);
+        let mut information = Matrix2::from_diagonal(&Vector2::new(0.0, prior));
+        let mut right = Vector2::zeros();
+        for (value, variance, kelvin) in self.values(parameter) {
+            let weighted = row(kelvin) / (variance + between);
+            information += weighted * row(kelvin).transpose();
+            right += weighted * value;
         }
-        (mean, mean_k) = (mean / weight, mean_k / weight);
-        let (mut square, mut product) = (0.0, 0.0);
-        for (value, variance, dt) in self.values(parameter) {
-            let w = 1.0 / (variance + between);
-            square += w * (dt - mean_k) * (dt - mean_k);
-            product += w * (dt - mean_k) * value;
-        }
-        let slope_variance = 1.0 / (square + prior);
-        let slope = product * slope_variance;
-        let mut residual = 0.0;
-        for (value, variance, dt) in self.values(parameter) {
-            let off = value - mean - slope * (dt - mean_k);
-            residual += off * off / (variance + between);
-        }
+        let covariance = information.try_inverse().unwrap_or_default();
+        let at = covariance * right;
+        let squares = self.values(parameter).map(|(value, variance, kelvin)| {
+            let off = value - at.dot(&row(kelvin));
+            off * off / (variance + between)
+        });
+        let residual = squares.sum();
         // Fraction by which the prior reduces the slope, 0..=1.
-        let shrinkage = if prior.is_finite() { prior * slope_variance } else { 1.0 };
-        Line {
-            level: mean - slope * mean_k,
-            slope,
-            slope_variance,
-            weight,
-            mean_k,
-            between,
-            prior,
-            residual,
-            dof: count - 2.0 + shrinkage * shrinkage,
-        }
+        let shrinkage = if prior < NO_SLOPE { prior * covariance[(1, 1)] } else { 1.0 };
+        let dof = self.all.len() as f64 - 2.0 + shrinkage * shrinkage;
+        Line { at, covariance, between, prior, residual, dof }
     }
 
     /// The fitted parameters of a group.
@@ -195,13 +186,10 @@ impl<'a> Sessions<'a> {
         for parameter in Parameters::ALL.without(fitted).iter() {
             sum.set(parameter, parameter, first.covariance.get(parameter, parameter));
         }
-        for session in self.all.iter() {
-            let dt = self.kelvin(session);
+        for session in self.all {
             let gain = |p: Parameter| {
-                let line = &lines[p.index()];
                 let own = session.covariance.get(p, p).max(LEAST_SD * LEAST_SD);
-                let slope = line.slope_variance * (dt - line.mean_k);
-                (1.0 / line.weight - line.mean_k * slope) / (own + line.between)
+                lines[p.index()].gain(own, self.kelvin(session))
             };
             for a in fitted.iter() {
                 for b in fitted.iter() {
@@ -213,10 +201,8 @@ impl<'a> Sessions<'a> {
         }
         for parameter in fitted.iter() {
             let line = &lines[parameter.index()];
-            if line.prior.is_finite() {
-                let off = line.mean_k * line.slope_variance;
-                sum.add(parameter, parameter, off * off * line.prior);
-            }
+            let of_slope = line.covariance[(0, 1)];
+            sum.add(parameter, parameter, of_slope * of_slope * line.prior);
         }
         sum
     }

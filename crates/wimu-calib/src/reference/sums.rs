@@ -127,19 +127,6 @@ pub(super) struct Central {
     pub yy: Vector3<f64>,
 }
 
-impl Central {
-    /// Those of one axis.
-    pub fn axis(&self, axis: usize) -> Moments {
-        Moments {
-            x: self.x[axis],
-            y: self.y[axis],
-            xx: self.xx[(axis, axis)],
-            xy: self.xy[(axis, axis)],
-            yy: self.yy[axis],
-        }
-    }
-}
-
 /// Sums over samples of an axis.
 #[derive(Clone, Copy)]
 pub(super) struct AxisSums {

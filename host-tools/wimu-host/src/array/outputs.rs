@@ -1,7 +1,7 @@
 //! Outputs of the sensors of an array at rest, and their departures from each other: equation (104).
 
 use nalgebra::Vector3;
-use wimu_calib::{Pose, find_poses};
+use wimu_calib::find_poses;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::Array;
@@ -77,10 +77,9 @@ pub(super) fn steady_stretches(recording: &Array, dead: &[usize]) -> Vec<Span> {
         let seen = alive.iter().filter(|sensor| recording.has(k, **sensor));
         (mean(seen.map(|sensor| recording.output(k, *sensor))).into(), None)
     });
-    let mut poses = vec![Pose::default(); MOST_POSES];
-    let found = find_poses(mean, 1.0 / recording.period_s(), &mut poses).min(MOST_POSES);
-    poses[..found]
+    find_poses(mean, 1.0 / recording.period_s())
         .iter()
+        .take(MOST_POSES)
         .map(|pose| (pose.first_sample as usize, pose.samples as usize))
         .filter(|(first, count)| first + count <= recording.len())
         .collect()

@@ -2,15 +2,16 @@
 
 use std::cmp::Ordering;
 
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{
-    Covariance, Datasheet, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters,
-    Pose, Reason, Refusal, Term, Terms, UnitHint, multi_position,
+    Covariance, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters, Pose,
+    Reason, Refusal, Term, Terms, UnitHint, multi_position,
 };
 use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::poses::{Poses, median_magnitude, range_note, rms};
 use super::report::{AXES, Criterion, Grade};
-use super::{CalibrateOptions, MethodChoice, ModelChoice, Source, magnitude, median};
+use super::{CalibrateOptions, Datasheet, MethodChoice, ModelChoice, Source, magnitude, median};
 use crate::digits::significant;
 use crate::plural::counted;
 use crate::recording::{OutputUnit, RateSource, Samples};
@@ -23,8 +24,6 @@ const SUSPICIOUS_RMS_MM_S2: f64 = 50.0;
 const SUSPICIOUS_OF_TURNS_RMS_MM_S2: f64 = 280.0;
 /// Scatter of the poses of a consumer sensor, mm/s², 1 σ.
 const SCATTER_MM_S2: f64 = 10.0;
-/// Normal deviate that is exceeded with a probability of 0.1 %.
-const UNLIKELY: f64 = 3.09;
 /// Percentage of the scale factors' variance from which on gravity dominates it.
 const DOMINATES_PERCENT: f64 = 50.0;
 /// Departure of a scale factor from 1 that is reported: three times the tolerance of usual datasheets, 3 %.
@@ -132,11 +131,6 @@ impl Context<'_> {
     pub fn reason(&self, refusal: &Refusal, used_lsb_per_g: Option<f64>) -> String {
         let (data, poses, options) = (self.data, self.poses, self.options);
         let has = poses.len();
-        if let Reason::Placement { index: pose, steps: steps @ 3..=4 } = refusal.reason
-            && has < pose + steps
-        {
-            return self.incomplete_rotation(pose, steps);
-        }
         let mut reason = refusal.to_string();
         if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
             let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
@@ -179,24 +173,6 @@ impl Context<'_> {
         let with_priors = MultiPosition { priors: true, ..self.options.multi_position() };
         self.options.model != ModelChoice::Auto
             && multi_position(self.poses, gravity, with_priors).is_ok()
-    }
-
-    fn incomplete_rotation(&self, pose: usize, steps: usize) -> String {
-        let (has, degrees) = (self.poses.len(), 360 / steps.max(1));
-        if has < steps {
-            return format!(
-                "{} found, a rotation has {steps} steps of {degrees}°. Rotate about one axis of the sensor, in one direction, \
-                 and hold it still for two seconds at each step.",
-                counted(has, "static pose")
-            );
-        }
-        let last = if has > pose + 1 { format!(" to {}", has - 1) } else { String::new() };
-        format!(
-            "Poses {pose}{last} (from 0) are {} instead of {steps} steps of {degrees}° about a level axis. Give {steps} poses \
-             for each rotation, in order, and no others{}.",
-            has - pose,
-            start_times(self.data, self.poses)
-        )
     }
 
     /// The effect with which the poses that contradict each other have the best fit, and its option.
@@ -386,14 +362,13 @@ fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> 
     problems
 }
 
-/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² (Wilson and Hilferty) for the
-/// usual scatter and the noise of the poses.
+/// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² for the usual scatter and the
+/// noise of the poses.
 fn most_rms_mm_s2(poses: &[Pose], estimate: &Estimate) -> f64 {
-    let dof = estimate.dof.max(1) as f64;
-    let ninths = 2.0 / (9.0 * dof);
-    let ratio = (1.0 - ninths + UNLIKELY * ninths.sqrt()).powi(3);
+    let chi_squared = ChiSquared::new(estimate.dof.max(1) as f64);
+    let most = chi_squared.map_or(f64::INFINITY, |chi_squared| chi_squared.inverse_cdf(0.999));
     let scatter = SCATTER_MM_S2.hypot(pose_noise_mps2(poses) * 1e3);
-    scatter * (ratio * dof / estimate.poses as f64).sqrt()
+    scatter * (most / estimate.poses as f64).sqrt()
 }
 
 /// Largest standard deviation of a pose's mean from white noise, m/s²; 0 if it is unknown.

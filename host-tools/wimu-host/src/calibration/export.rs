@@ -7,19 +7,12 @@ use std::path::Path;
 
 use super::{Calibration, SensorCalibration, Source, parameter_id};
 use crate::csv::AccelerationUnit;
-use wimu_model::{
-    Alignment, Corrector, CorrectorParts, GyroscopeParameters, Matrix3, ParameterSet,
-    STANDARD_GRAVITY_MPS2, Sensitivity,
-};
+use wimu_model::{Alignment, Matrix3};
 
 pub use noise::{KalibrNoise, KalibrTerms};
 
 use super::poses::range_note;
 use crate::{Code, Problem, Result};
-
-/// Bounds of ArduPilot's parameters: offsets, m/s², and scale factors.
-const ARDUPILOT_OFFSET: f64 = 3.5;
-const ARDUPILOT_SCALE: std::ops::RangeInclusive<f64> = 0.8..=1.2;
 
 /// What reads an exported calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,12 +27,6 @@ pub enum ExportTarget {
     Matlab,
     /// C header without dependencies.
     C,
-    /// Rust module without dependencies.
-    Rust,
-    /// Parameter file of QGroundControl for PX4.
-    Px4,
-    /// Parameter file for ArduPilot.
-    Ardupilot,
 }
 
 /// A calibration to export: of counts, or of output in m/s².
@@ -51,7 +38,7 @@ pub enum ExportTarget {
 /// let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
 /// let export = CalibrationExport::new(&Calibration::new(&set, &[], "poses.csv"));
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
-/// assert!(export.findings(ExportTarget::Px4).is_empty());
+/// assert!(export.findings(ExportTarget::Ros).is_empty());
 /// ```
 #[derive(Clone, Debug)]
 pub struct CalibrationExport {
@@ -98,9 +85,6 @@ impl CalibrationExport {
             ExportTarget::C => {
                 self.fill(include_str!("export/wimu_calibration.h"), " * ", ["{", ", ", "}"])
             }
-            ExportTarget::Rust => {
-                self.fill(include_str!("export/wimu_calibration.rs"), "//! ", ["[", ", ", "]"])
-            }
             ExportTarget::Numpy => {
                 self.fill(include_str!("export/wimu_calibration.py"), "", ["[", ", ", "]"])
             }
@@ -109,7 +93,6 @@ impl CalibrationExport {
             }
             ExportTarget::Kalibr => self.kalibr(noise),
             ExportTarget::Ros => self.ros(),
-            ExportTarget::Px4 | ExportTarget::Ardupilot => self.autopilot(target),
         }
     }
 
@@ -121,8 +104,8 @@ impl CalibrationExport {
     }
 
     fn left_out(&self, target: ExportTarget) -> Vec<String> {
-        use ExportTarget::{Ardupilot, Kalibr, Px4, Ros};
-        if !matches!(target, Ardupilot | Kalibr | Px4 | Ros) {
+        use ExportTarget::{Kalibr, Ros};
+        if !matches!(target, Kalibr | Ros) {
             return Vec::new();
         }
         let terms = self.stored.accelerometer.model.terms();
@@ -145,55 +128,7 @@ impl CalibrationExport {
         if target == Ros && self.stored.gyroscope.is_some() {
             left_out.push("the gyroscope is left out".to_owned());
         }
-        if matches!(target, Px4 | Ardupilot) {
-            left_out.extend(self.left_out_of_diagonal());
-        }
-        if target == Ardupilot {
-            let (offset, scale) = self.diagonal();
-            let outside = offset.iter().any(|b| b.abs() > ARDUPILOT_OFFSET)
-                || scale.iter().any(|s| !ARDUPILOT_SCALE.contains(s));
-            if outside {
-                left_out.push(
-                    "an offset is beyond 3.5 m/s² or a scale factor outside 0.8 to 1.2: ArduPilot takes the \
-                     accelerometer for uncalibrated"
-                        .to_owned(),
-                );
-            }
-        }
         left_out
-    }
-
-    /// What an offset and a scale factor per axis cannot express.
-    fn left_out_of_diagonal(&self) -> Option<String> {
-        let inverse = inverse(&self.stored.accelerometer.model.terms().matrix);
-        let off = |m: &Matrix3| {
-            let one = |i: usize, j: usize| if i == j { 0.0 } else { m[i][j].abs() };
-            let all = (0..9).map(|k| one(k / 3, k % 3));
-            all.fold(0.0, f64::max)
-        };
-        let cross = off(&inverse);
-        let mut text = (cross > 0.0).then(|| {
-            format!(
-                "the cross-axis terms are left out: up to {:.2} % of the force along another axis, {:.3} m/s² at 1 g",
-                100.0 * cross,
-                cross * STANDARD_GRAVITY_MPS2
-            )
-        });
-        let identity = |m: &Matrix3| off(m) == 0.0 && (0..3).all(|i| m[i][i] == 1.0);
-        if let Some(gyroscope) = &self.stored.gyroscope
-            && !identity(&gyroscope.model.terms().matrix)
-        {
-            let gyroscope = "of the gyroscope only the bias is exported";
-            text = Some(text.map_or(gyroscope.to_owned(), |text| format!("{text}; {gyroscope}")));
-        }
-        text
-    }
-
-    /// Offset, m/s², and scale factor per axis: f ≈ (y − offset) ∘ scale.
-    fn diagonal(&self) -> ([f64; 3], [f64; 3]) {
-        let terms = self.stored.accelerometer.model.terms();
-        let inverse = inverse(&terms.matrix);
-        (terms.bias_mps2, [0, 1, 2].map(|i| inverse[i][i]))
     }
 
     /// Unit of the gyroscope's output and its rad/s, from those of a count: beside accelerations in m/s² it is SI, too.
@@ -227,20 +162,6 @@ impl CalibrationExport {
             );
         }
         text
-    }
-
-    /// The corrector of counts at the reference temperature; `None` where the output is in m/s² or the corrector
-    /// would overflow.
-    fn integers(&self) -> Option<CorrectorParts> {
-        let sensitivity =
-            Sensitivity::from_lsb_per_g(self.stored.accelerometer.sensitivity_lsb_per_g?).ok()?;
-        let set = ParameterSet {
-            model: self.stored.accelerometer.model,
-            alignment: self.stored.alignment,
-            // The range has no influence.
-            ..ParameterSet::uncalibrated(1, sensitivity)
-        };
-        Some(Corrector::compile(&set, None).ok()?.to_parts())
     }
 
     /// A template with its comment and numbers; `list` opens, separates the rows of a matrix in, and closes a list.
@@ -291,20 +212,11 @@ impl CalibrationExport {
                 ("wg", matrix(terms.g_sensitivity)),
             ]);
         }
-        let integers = self.integers();
-        if let Some(parts) = integers {
-            values.extend([
-                ("shift", parts.shift.to_string()),
-                ("coefficients", format!("{:?}", parts.coefficients)),
-                ("offset", format!("{:?}", parts.offset)),
-            ]);
-        }
         let mut keep = true;
         let mut text = String::new();
         for line in template.lines() {
             match line {
                 "@gyroscope{" => keep = self.stored.gyroscope.is_some(),
-                "@integers{" => keep = integers.is_some(),
                 "@}" => keep = true,
                 _ if keep => text += &format!("{line}\n"),
                 _ => {}
@@ -400,46 +312,6 @@ impl CalibrationExport {
             matrix.as_flattened(),
             product(&matrix, terms.bias_mps2)
         )
-    }
-
-    /// Parameters of an autopilot, which corrects by (y − offset) ∘ scale before its board rotation.
-    fn autopilot(&self, target: ExportTarget) -> String {
-        let (offset, scale) = self.diagonal();
-        let px4 = target == ExportTarget::Px4;
-        let convention = if px4 {
-            "PX4, for QGroundControl. Accelerometer 0: corrected = (raw - CAL_ACC0_*OFF) * CAL_ACC0_*SCALE, then SENS_BOARD_ROT.\n\
-                 raw: topic sensor_accel, m/s^2, in its axes: the calibration must have been made from it.\n\
-                 The offset is subtracted first; the scale is the diagonal of A^-1, as PX4's own calibration.\n\
-                 PX4 uses them only where CAL_ACC0_ID is the device's id: calibrate once on the board, then load this.\n\
-                 For another sensor replace the 0 in the names."
-        } else {
-            "ArduPilot. First accelerometer: corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, then AHRS_ORIENTATION.\n\
-                 raw: message IMU logged before correction, m/s^2, in its axes: the calibration must have been made from it.\n\
-                 The offset is subtracted first; the scale is the diagonal of A^-1.\n\
-                 INS_ACC_ID must be that of the sensor: calibrate once on the board, then load this.\n\
-                 For the second sensor write INS_ACC2OFFS and INS_ACC2SCAL."
-        };
-        let mut out = self.comments(target, convention);
-        let mut put = |name: String, value: f64| {
-            let _ = match px4 {
-                // Vehicle, component, name, value, type float.
-                true => writeln!(out, "1\t1\t{name}\t{value:.9}\t9"),
-                false => writeln!(out, "{name},{value:.9}"),
-            };
-        };
-        let bias = |gyroscope: &GyroscopeParameters| gyroscope.model.terms().bias_rad_s;
-        let rate = self.stored.gyroscope.as_ref().map(bias);
-        let groups = if px4 {
-            [("CAL_ACC0_", "OFF"), ("CAL_ACC0_", "SCALE"), ("CAL_GYRO0_", "OFF")]
-        } else {
-            [("INS_ACCOFFS_", ""), ("INS_ACCSCAL_", ""), ("INS_GYROFFS_", "")]
-        };
-        for ((start, end), values) in groups.into_iter().zip([Some(offset), Some(scale), rate]) {
-            for (axis, value) in ["X", "Y", "Z"].into_iter().zip(values.into_iter().flatten()) {
-                put(format!("{start}{axis}{end}"), value);
-            }
-        }
-        out
     }
 }
 

@@ -135,7 +135,7 @@ pub(super) fn calibrate(
         turns: estimate.turns,
         before_deg: estimate.before_rad.to_degrees(),
         rms_deg: estimate.rms_rad.to_degrees(),
-        advice: estimate.advice().map(|advice| advice.to_string()),
+        advice: estimate.advice(),
         parameters: parameters.ok(),
     })
 }

@@ -285,12 +285,12 @@ impl Fitted<'_> {
             _ => None,
         };
         self.problems.append(&mut of_gyroscope);
-        let datasheet = self.limits(range);
+        let datasheet = self.limits();
         let (rejected, rejected_poses) = self.rejected();
         let shows_axes =
             gyroscope.is_some() || self.problems.iter().any(|problem| problem.code == Code::Axes);
         let mut outcome = self.problems(fitting, range, &rejected_poses, shows_axes);
-        outcome.findings.extend(datasheet.iter().flat_map(DatasheetReport::findings));
+        outcome.findings.extend(datasheet.iter().map(DatasheetReport::finding));
         let estimate = self.outcome.as_ref().ok();
         let parameters = gyroscope.as_ref().and_then(|found| found.parameters);
         let file = estimate.map(|estimate| self.file(estimate, range, parameters));
@@ -335,13 +335,12 @@ impl Fitted<'_> {
     }
 
     /// The estimate against the limits of the sensor's datasheet.
-    fn limits(&self, range: Option<(u8, Source)>) -> Option<DatasheetReport> {
+    fn limits(&self) -> Option<DatasheetReport> {
         let (datasheet, estimate) =
             self.options.datasheet.or(self.data.datasheet()).zip(self.outcome.as_ref().ok())?;
         let counts = self.unit() == AccelerationUnit::Lsb;
         let used = self.scale.lsb_per_g.filter(|_| counts);
-        let range_g = range.map(|(g, _)| g).filter(|_| counts);
-        Some(DatasheetReport::new(datasheet, estimate, used, range_g))
+        Some(DatasheetReport::new(datasheet, estimate, used))
     }
 
     /// What the session and the estimate show, and why there is no estimate.

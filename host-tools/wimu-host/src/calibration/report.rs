@@ -217,34 +217,6 @@ pub(super) fn deviations(sd: impl Fn(usize) -> f64, slopes: [[f64; 3]; 2]) -> Er
 }
 
 impl Fit {
-    /// A row for each parameter that was fitted: its name with its unit, its value ± 1 σ, and the half width of its 95 %
-    /// interval.
-    fn parameters(&self) -> Vec<Vec<String>> {
-        let biases = [0, 1, 2].map(|axis| (format!("bias {}", AXES[axis]), axis, "m/s²"));
-        let scales = [0, 1, 2].map(|k| (format!("scale factor {}", AXES[k]), 3 + 4 * k, ""));
-        let misalignments = MISALIGNMENTS.map(|(name, row, column)| {
-            (format!("misalignment {name}"), 3 + 3 * row + column, "mrad")
-        });
-        let row = |(name, place, unit): (String, usize, &str)| {
-            if !self.fitted.contains(&name) {
-                return None;
-            }
-            let of = |terms: &ErrorTerms| match place {
-                0..3 => terms.bias_mps2[place],
-                _ => terms.matrix[(place - 3) / 3][(place - 3) % 3],
-            };
-            let factor = if unit == "mrad" { 1e3 } else { 1.0 };
-            let (value, sd) = (of(&self.model) * factor, of(&self.sd) * factor);
-            let interval = self.half_width_95[place].map(|half| significant(half * factor, 2));
-            Some(vec![
-                format!("{name}, {unit}").trim_end_matches(", ").to_owned(),
-                signed_with_sd(value, sd),
-                interval.map_or(String::new(), |half| format!("± {half}")),
-            ])
-        };
-        biases.into_iter().chain(scales).chain(misalignments).filter_map(row).collect()
-    }
-
     pub(super) fn new(estimate: &Estimate, grade: Grade) -> Self {
         let (term_sd, covariance) = (&estimate.term_sd, &estimate.covariance);
         let of_sides = match estimate.method {
@@ -493,15 +465,11 @@ impl CalibrationReport {
         }
     }
 
-    /// The report as one HTML page: the result, the parameters, the samples with the poses found in them, |f| − g of each
+    /// The report as one HTML page: the result, the samples with the poses found in them, |f| − g of each
     /// pose before and after, the poses on a sphere, their table, and the text.
     pub fn page(&self, samples: &Samples<'_>) -> Document {
         let title = format!("Calibration of {}", self.source);
         let mut page = page(title, &self.outcome, &self.to_string(), 0);
-        if let Some(fit) = &self.fit {
-            let head = ["parameter", "value ± 1 σ", "95 % interval"];
-            page.table("Parameters", &head, &fit.parameters());
-        }
         if self.static_poses.is_empty() {
             return page;
         }

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
-use super::{Calibration, parameter_id};
+use super::{CalibrateOptions, Calibration, parameter_id};
 use serde::Serialize;
-use wimu_calib::{Ageing, Gravity, Parameter, Pose, SelfCheck};
+use wimu_calib::{Ageing, Parameter, Pose, SelfCheck};
 use wimu_model::{
     CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
 };
@@ -74,11 +74,8 @@ pub fn update(
     gravity_mps2: Option<f64>,
     utc_s: Option<u64>,
 ) -> Result<UpdateReport> {
-    let gravity = match gravity_mps2 {
-        Some(mps2) => Gravity::new(mps2, 0.0)
-            .map_err(|error| Code::Usage.error(error.to_string(), "check --gravity"))?,
-        None => Gravity::UNKNOWN_PLACE,
-    };
+    let (gravity, _) =
+        CalibrateOptions { gravity_mps2, ..CalibrateOptions::default() }.gravity()?;
     let stored = &calibration.parameters()?;
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {

@@ -1,7 +1,5 @@
 //! Poses of a live board: what is captured of them.
 
-use std::path::Path;
-
 use serde::Serialize;
 use wimu_calib::{Face, Orientation, Parameter, Phase, Pose, Session};
 use wimu_link::Hello;
@@ -13,8 +11,7 @@ use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 use crate::calibration::{CalibrateOptions, Fitting, MethodChoice};
 use crate::capture::Link;
 use crate::decode::{Arrival, Event};
-use crate::formats;
-use crate::recording::{Recording, Selection};
+use crate::recording::Recording;
 use crate::{Code, Result};
 
 /// Capacity of a live calibration, poses.
@@ -240,8 +237,6 @@ pub struct LivePoses {
     /// What is captured.
     pub plan: Plan,
     record: Link,
-    /// Samples of an interrupted session.
-    earlier: Option<Recording>,
     session: Option<Session<CAPACITY>>,
     /// The suggested orientation.
     next: Option<Orientation>,
@@ -263,7 +258,6 @@ impl LivePoses {
         Self {
             plan,
             record: Link::new(hello.role),
-            earlier: None,
             session: None,
             next: None,
             sensitivity: None,
@@ -314,21 +308,12 @@ impl LivePoses {
         }
     }
 
-    /// Begins a session with the samples of the interrupted one.
+    /// Begins a session.
     fn begin(&mut self) {
         let wanted = self.plan.wanted();
         self.session = Some(Session::new(self.rate_hz, wanted));
         (self.pushed, self.kept) = (0, 0);
         self.starts.clear();
-        let earlier = self.earlier.take();
-        if let Some(samples) =
-            earlier.as_ref().and_then(|all| all.samples(Selection::default()).ok())
-        {
-            for counts in samples.values() {
-                self.push(counts);
-            }
-        }
-        self.earlier = earlier;
         self.suggest();
     }
 
@@ -400,37 +385,15 @@ impl LivePoses {
 
     fn drop_latest(&mut self, count: u64) {
         self.kept = self.kept.saturating_sub(count);
-        let count = usize::try_from(count).unwrap_or(usize::MAX);
-        let own: usize = self.record.boots.iter().map(|boot| boot.raw().len()).sum();
-        self.record.drop_latest_raw(count);
-        if let Some(earlier) = &mut self.earlier {
-            earlier.drop_latest(count.saturating_sub(own));
-        }
-    }
-
-    /// Continues an interrupted session; poses so far are left out.
-    ///
-    /// # Errors
-    /// Those of [`formats::load`].
-    pub fn resume(&mut self, file: &Path) -> Result<()> {
-        self.earlier = Some(formats::load(file, &formats::ReadOptions::default())?);
-        if self.session.is_some() {
-            self.record.drop_latest_raw(usize::MAX);
-            self.begin();
-        }
-        Ok(())
+        self.record.drop_latest_raw(usize::try_from(count).unwrap_or(usize::MAX));
     }
 
     /// All samples so far.
     ///
     /// # Errors
-    /// Those of [`Recording::of_link`] and [`Recording::prepend`].
+    /// Those of [`Recording::of_link`].
     pub fn recording(&self, name: &str) -> Result<Recording> {
-        let mut recording = Recording::of_link(&self.record, name)?;
-        if let Some(earlier) = &self.earlier {
-            recording.prepend(earlier)?;
-        }
-        Ok(recording)
+        Recording::of_link(&self.record, name)
     }
 
     /// The captured poses, in order.

@@ -77,8 +77,6 @@ pub struct GuidedView {
     pub lost: Option<String>,
     /// The latest message.
     pub message: String,
-    /// An interrupted session can be resumed.
-    pub resumable: bool,
     /// Text of the finished calibration.
     pub result: Option<String>,
     /// Whether the result can be used.
@@ -87,7 +85,7 @@ pub struct GuidedView {
     pub pushed: bool,
 }
 
-/// A guided calibration. The poses are saved after each capture, so that an interrupted session can be resumed.
+/// A guided calibration. The poses are saved after each capture, so that those of an interrupted session can be calibrated.
 pub struct Guided {
     options: CalibrateOptions,
     name: String,
@@ -95,6 +93,8 @@ pub struct Guided {
     poses_file: PathBuf,
     /// File of the calibration.
     file: PathBuf,
+    /// Whether that file has the poses of an earlier session, which are kept as `.old.csv`.
+    has_earlier: bool,
     /// Whether poses are saved after each capture.
     pub saves: bool,
     written: bool,
@@ -120,11 +120,7 @@ impl Guided {
             wanted: plan.count,
             ..GuidedView::default()
         };
-        view.resumable = poses_file.exists();
         view.message = match plan.guidance {
-            _ if view.resumable => {
-                format!("{} has poses of an earlier session", poses_file.display())
-            }
             Guidance::Orientations => {
                 "hold the board as suggested, or in any other orientation".to_owned()
             }
@@ -133,6 +129,7 @@ impl Guided {
         Self {
             options: plan.options().clone(),
             name: name.to_owned(),
+            has_earlier: poses_file.exists(),
             poses_file,
             file: file.to_owned(),
             saves: true,
@@ -144,18 +141,6 @@ impl Guided {
             tried: None,
             view,
         }
-    }
-
-    /// Continues the interrupted session.
-    ///
-    /// # Errors
-    /// Those of [`LivePoses::resume`].
-    pub fn resume(&mut self) -> Result<()> {
-        self.live.resume(&self.poses_file)?;
-        self.view.resumable = false;
-        self.view.message = format!("continuing the poses in {}", self.poses_file.display());
-        self.uncertainty();
-        Ok(())
     }
 
     /// Takes what a link has received; returns whether a pose was captured.
@@ -188,13 +173,6 @@ impl Guided {
             self.view.message = message.unwrap_or(std::mem::take(&mut self.view.message));
             if captured {
                 any = true;
-                if std::mem::take(&mut self.view.resumable) {
-                    // The poses of an earlier session are kept.
-                    let _ = std::fs::rename(
-                        &self.poses_file,
-                        self.poses_file.with_extension("old.csv"),
-                    );
-                }
                 self.save();
             }
         }
@@ -206,6 +184,9 @@ impl Guided {
     fn save(&mut self) {
         if !self.saves {
             return;
+        }
+        if std::mem::take(&mut self.has_earlier) {
+            let _ = std::fs::rename(&self.poses_file, self.poses_file.with_extension("old.csv"));
         }
         if self.live.poses().is_empty() {
             let _ = std::fs::remove_file(&self.poses_file);
@@ -350,7 +331,7 @@ impl Guided {
         self.view.next = next.map(Orientation::up);
     }
 
-    /// Ends the session: a finished one is not resumed by mistake. Returns a sentence about the poses of an unfinished
+    /// Ends the session. Returns a sentence about the poses of an unfinished
     /// one.
     pub fn end(&self) -> Option<String> {
         if self.report.is_some() {
@@ -363,7 +344,7 @@ impl Guided {
             (0, _) => "no pose was captured".to_owned(),
             (_, Some(error)) => format!("the poses are not saved: {error}"),
             (count, None) if self.saves => format!(
-                "{} saved in {}; --resume continues there, and so does Resume on the page",
+                "{} saved in {}, which `wimu calibrate` reads",
                 crate::plural::counted(count, "pose"),
                 self.poses_file.display()
             ),

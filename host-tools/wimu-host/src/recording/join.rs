@@ -10,44 +10,7 @@ use crate::OutputFile;
 use crate::csv::{self, CsvWriter};
 use crate::{Code, Result};
 
-/// Time between two recordings that are joined, ns.
-const BETWEEN_NS: i64 = 1_000_000_000;
-
 impl Recording {
-    /// Puts an earlier recording of the same sensor before this one, with a gap between them. Tracks that only one of
-    /// them has stay as they are.
-    ///
-    /// # Errors
-    /// `data_refused` when the nominal sensitivity differs.
-    pub fn prepend(&mut self, earlier: &Self) -> Result<()> {
-        let ends = earlier.tracks.iter().filter_map(|t| t.times_ns.iter().max());
-        let (Some(begin), Some(end)) = (self.start_ns(), ends.max()) else {
-            return Ok(());
-        };
-        let shift = end + BETWEEN_NS - begin;
-        for track in &mut self.tracks {
-            track.times_ns.iter_mut().for_each(|time| *time += shift);
-            let same = |other: &&Track| other.info.quantity == track.info.quantity;
-            let Some(before) = earlier.tracks.iter().find(same) else {
-                continue;
-            };
-            if scale(before).zip(scale(track)).is_some_and(|(a, b)| (a / b - 1.0).abs() > 1e-6) {
-                let error = Code::DataRefused.error(
-                    "the earlier poses were captured at another range",
-                    "set the range back with `wimu device settings set`, or start again without --resume",
-                );
-                return Err(error.at(&earlier.name));
-            }
-            let rows = before.len();
-            let gaps = track.gaps.iter().map(|gap| gap + rows);
-            track.gaps = before.gaps.iter().copied().chain([rows]).chain(gaps).collect();
-            track.times_ns.splice(0..0, before.times_ns.iter().copied());
-            track.values.splice(0..0, before.values.iter().copied());
-            track.valid.splice(0..0, before.valid.iter().copied());
-        }
-        Ok(())
-    }
-
     /// Adds the accelerometer of another recording on the same body as the next one: its times are those of its file.
     ///
     /// # Errors
@@ -66,19 +29,6 @@ impl Recording {
         track.info.sensor = last.max().map_or(0, |last| last.saturating_add(1));
         self.tracks.push(track);
         Ok(())
-    }
-
-    /// Removes the latest `count` rows of the accelerometer and of the gyroscope beside it.
-    pub fn drop_latest(&mut self, count: usize) {
-        let sampled = [Quantity::SpecificForce, Quantity::AngularRate];
-        let is_sampled = |track: &&mut Track| sampled.contains(&track.info.quantity);
-        for track in self.tracks.iter_mut().filter(is_sampled) {
-            let rows = track.len().saturating_sub(count);
-            track.times_ns.truncate(rows);
-            track.values.truncate(rows * track.info.quantity.width());
-            track.valid.truncate(rows);
-            track.gaps.retain(|gap| *gap <= rows);
-        }
     }
 
     /// Writes the counts of the accelerometer, of the gyroscope beside it and the temperature as a table, which

@@ -2,7 +2,7 @@
 
 use std::iter;
 
-use wimu_calib::{Datasheet, Pose, SixAxisSample, find_poses};
+use wimu_calib::{Pose, SixAxisSample, find_poses};
 use wimu_link::hello::sensor;
 use wimu_model::{
     Counts, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity, SensorId, TemperatureTerms,
@@ -10,7 +10,7 @@ use wimu_model::{
 
 use super::times::rate_and_gaps;
 use super::{Origin, Quantity, Recording, Track, TrackInfo, Unit};
-use crate::calibration::SensorCalibration;
+use crate::calibration::{Datasheet, SensorCalibration};
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
 
@@ -18,8 +18,6 @@ use crate::{Code, Problem, Result};
 pub(crate) const ASSUMED_RATE_HZ: f64 = 100.0;
 /// Extrapolation beyond the temperatures of a calibration without a warning, K. Chosen.
 const BEYOND_K: f64 = 5.0;
-/// Rests for which memory is reserved at first.
-const USUAL_RESTS: usize = 1000;
 /// More rows than this at a higher rate than this, Hz, are samples, not means over poses, which take seconds each.
 const MAX_POSES: usize = 100;
 const MAX_POSE_RATE_HZ: f64 = 5.0;
@@ -468,19 +466,11 @@ impl<'a> Samples<'a> {
     /// [`Pose::first_sample`] is an index of a sample, [`Pose::time_s`] is relative to the first one.
     pub(crate) fn rests(&self, forces: &[[f64; 3]]) -> Vec<Pose> {
         // A NaN ends a rest.
-        let with_gaps = || {
-            self.iter().zip(forces).flat_map(|(output, force)| {
-                let gap = output.after_gap.then_some(([f64::NAN; 3], None));
-                gap.into_iter().chain(iter::once((*force, output.temperature_c)))
-            })
-        };
-        let mut rests = vec![Pose::default(); USUAL_RESTS];
-        let found = find_poses(with_gaps(), self.rate_hz, &mut rests);
-        if found > rests.len() {
-            rests.resize(found, Pose::default());
-            find_poses(with_gaps(), self.rate_hz, &mut rests);
-        }
-        rests.truncate(found);
+        let with_gaps = self.iter().zip(forces).flat_map(|(output, force)| {
+            let gap = output.after_gap.then_some(([f64::NAN; 3], None));
+            gap.into_iter().chain(iter::once((*force, output.temperature_c)))
+        });
+        let mut rests = find_poses(with_gaps, self.rate_hz);
         // Indices of the NaNs in the sequence given to the detector.
         let gaps: Vec<usize> = self.gaps.iter().enumerate().map(|(k, gap)| gap + k).collect();
         for rest in &mut rests {

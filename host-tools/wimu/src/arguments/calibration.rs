@@ -118,7 +118,7 @@ pub struct Calibrate {
         help_heading = "Arrays",
         conflicts_with_all = [
             "method", "sensor", "model", "with", "chip", "range", "poses", "filter", "reference", "placement_sd", "sides",
-            "report", "count", "dip", "push", "resume",
+            "report", "count", "dip", "push",
         ]
     )]
     pub setup: Vec<String>,
@@ -138,9 +138,6 @@ pub struct Calibrate {
     /// Number of poses to capture (LINK only), at most 64 [default: 12]
     #[arg(hide_short_help = true, long, value_name = "N", value_parser = value_parser!(u8).range(..=64), help_heading = "Device")]
     pub count: Option<u8>,
-    /// Continue an interrupted session: its poses are in CAL.poses.csv, or wimu-calibration.poses.csv without -o (LINK only)
-    #[arg(hide_short_help = true, long, help_heading = "Device")]
-    pub resume: bool,
 }
 
 #[derive(Args)]

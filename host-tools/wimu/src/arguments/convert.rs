@@ -58,16 +58,10 @@ pub struct Convert {
 pub enum Target {
     /// C header without dependencies
     C,
-    /// Rust module without dependencies
-    Rust,
     /// For the ROS package imu_calib
     Ros,
     /// IMU file for Kalibr
     Kalibr,
-    /// Parameters of PX4, for QGroundControl
-    Px4,
-    /// Parameters of ArduPilot
-    Ardupilot,
     /// Python module with NumPy
     Numpy,
     /// MATLAB or Octave function
@@ -81,11 +75,8 @@ impl Target {
     pub fn program(self) -> Option<ExportTarget> {
         Some(match self {
             Self::C => ExportTarget::C,
-            Self::Rust => ExportTarget::Rust,
             Self::Ros => ExportTarget::Ros,
             Self::Kalibr => ExportTarget::Kalibr,
-            Self::Px4 => ExportTarget::Px4,
-            Self::Ardupilot => ExportTarget::Ardupilot,
             Self::Numpy => ExportTarget::Numpy,
             Self::Matlab => ExportTarget::Matlab,
             Self::Device => return None,

@@ -42,7 +42,6 @@ const TABLES: [Table; 2] = [
             ("report",                "× × × × × × ×"),
             ("count",                 "× × × × · · ×"),
             ("push",                  "× × × × · · ×"),
-            ("resume",                "× × × × · · ×"),
         ],
     },
     // A replayed CSV file has no angular rates.
@@ -66,7 +65,7 @@ const FILE: &str = "a file";
 const LINKS: [&str; 2] = ["cable", "wireless"];
 
 /// Options of `align`, `allan`, `calibrate`, `info` and `navigate` that one kind of input has.
-const INPUTS: [(&str, &str); 19] = [
+const INPUTS: [(&str, &str); 18] = [
     ("where", TABLE),
     ("format", TABLE),
     ("poses", TABLE),
@@ -76,7 +75,6 @@ const INPUTS: [(&str, &str); 19] = [
     ("columns", TABLE),
     ("units", TABLE),
     ("count", "a LINK"),
-    ("resume", "a LINK"),
     ("for", "a LINK"),
     ("push", "a LINK"),
     ("rate", TABLE),

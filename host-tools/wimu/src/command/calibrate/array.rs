@@ -6,6 +6,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use wimu_calib::Gravity;
 use wimu_host::array::{Array, ArrayGeometry, CalibratedArray, Refinement, calibrate_array};
+use wimu_host::calibration::CalibrateOptions;
 use wimu_host::digits::{signed_with_sd, with_sd};
 use wimu_host::{Code, Problem, Result};
 
@@ -23,12 +24,12 @@ pub fn run(arguments: &Calibrate, geometry: &Path, output: &Output) -> Result<()
     let geometry = ArrayGeometry::read(geometry)?;
     let options = array::prior(None, None, &geometry);
     let recording = Array::read(input, &arguments.reading.options(false), arguments.sensitivity)?;
-    let gravity = match (arguments.gravity, arguments.latitude) {
-        (Some(mps2), _) => Gravity::new(mps2, 0.0),
-        (None, Some([latitude, height])) => Gravity::at(latitude, height),
-        (None, None) => Ok(Gravity::UNKNOWN_PLACE),
+    let given = CalibrateOptions {
+        gravity_mps2: arguments.gravity,
+        place: arguments.latitude,
+        ..CalibrateOptions::default()
     };
-    let gravity = gravity.map_err(|e| usage(e.to_string(), "check --gravity"))?;
+    let (gravity, _) = given.gravity()?;
     let found = calibrate_array(&recording, &geometry, gravity, &options)?;
     let calibrated = present(&found, arguments, gravity, output);
     if let Some(file) = &arguments.output {

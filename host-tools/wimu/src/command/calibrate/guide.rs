@@ -70,7 +70,7 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -
     }
 }
 
-/// A session for the board of `client`, which continues the interrupted one if that was asked for.
+/// A session for the board of `client`.
 pub fn begin(
     client: &Connection,
     arguments: &Calibrate,
@@ -84,10 +84,7 @@ pub fn begin(
     };
     let plan = plan.map_err(|error| error.at(client.name()))?;
     let mut guided = Guided::new(plan, hello, client.name(), file);
-    guided.saves = arguments.output.is_some() || arguments.resume;
-    if arguments.resume {
-        guided.resume()?;
-    }
+    guided.saves = arguments.output.is_some();
     Ok(guided)
 }
 
@@ -144,11 +141,6 @@ fn key(guided: &mut Guided, line: &str) -> Option<End> {
         "f" => return Some(End::Finished),
         "u" => guided.undo(),
         "s" => guided.skip(),
-        "r" if guided.view.resumable => {
-            if let Err(error) = guided.resume() {
-                guided.view.message = format!("cannot resume: {}", error.text);
-            }
-        }
         _ => {}
     }
     None
@@ -197,12 +189,11 @@ fn rows(view: &GuidedView) -> Vec<String> {
     if let Some(latest) = view.uncertainty.last() {
         rows.extend(uncertainty(latest));
     }
-    let resume = if view.resumable { "r continues the interrupted session, " } else { "" };
     rows.extend([
         String::new(),
         view.message.clone(),
         String::new(),
-        format!("{resume}u undo, s skip, f finish now, q quit (then Enter); poses are kept"),
+        "u undo, s skip, f finish now, q quit (then Enter); poses are kept".to_owned(),
     ]);
     rows
 }

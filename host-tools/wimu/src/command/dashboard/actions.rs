@@ -39,7 +39,6 @@ pub enum Action {
     },
     Skip,
     Undo,
-    Resume,
     /// Compute the result of the poses so far.
     Finish,
     More,
@@ -203,7 +202,6 @@ impl Board {
         };
         let (has_result, usable) = (guided.view.result.is_some(), guided.view.usable);
         match action {
-            Action::Resume => guided.resume()?,
             Action::Skip if !has_result => guided.skip(),
             Action::Undo if !has_result => guided.undo(),
             Action::Finish if !has_result => guided.calibrate()?,

@@ -581,11 +581,11 @@ function calibrateCard(board) {
   const count = el("h3"), instruction = el("p", { className: "instruction" }), message = el("p", { className: "soft", ariaLive: "polite" });
   const bar = (name) => { const progress = el("progress", { max: 1, ariaLabel: name }), words = el("span"); return { progress, words, element: el("div", { className: "bar" }, progress, words) }; };
   const [tilt, hold] = [bar("Tilt towards the next pose"), bar("Time at rest")];
-  const sd = table(["standard deviation", "X", "Y", "Z"]), fit = el("p", { className: "soft" }), resume = button("resume", "Resume the earlier session");
+  const sd = table(["standard deviation", "X", "Y", "Z"]), fit = el("p", { className: "soft" });
   const course = el("div");
   let plot = null, drawn = "";
   poses.append(el("div", { className: "pictures" }, nextFigure, nowFigure, sphereFigure), count, instruction, tilt.element, hold.element, message,
-    el("div", { className: "row" }, resume, button("undo", "Undo"), button("skip", "Skip"), button("finish", "Finish now"), button("end_calibration", "Stop, keep the poses")),
+    el("div", { className: "row" }, button("undo", "Undo"), button("skip", "Skip"), button("finish", "Finish now"), button("end_calibration", "Stop, keep the poses")),
     sd.element, fit, course);
   const words = el("pre"), verdict = el("p", { className: "instruction", ariaLive: "polite" }), told = el("p", { className: "soft", ariaLive: "polite" });
   const push = button("push", "Push to the board", true), write = button("write_file", "Write a file"), more = button("more", "More poses");
@@ -625,7 +625,6 @@ function calibrateCard(board) {
     const held = view.hold.holding;
     hold.progress.value = held ? held[0] / held[1] : view.hold === "captured" ? 1 : 0;
     text(hold.words, held ? `still: ${fixed(Math.max(held[1] - held[0], 0), 1)} s more` : { waiting: "waiting for samples", moving: "moving: hold it still", captured: "captured: rotate it to the next orientation" }[view.hold]);
-    resume.hidden = !view.resumable;
     const latest = view.uncertainty.at(-1);
     if (!latest) return;
     sd.rows([["bias, mg", ...latest.bias_mps2.map((v) => "± " + significant((v * 1e3) / 9.80665))], ["scale factor, %", ...latest.scale.map((v) => "± " + significant(v * 100))]]);

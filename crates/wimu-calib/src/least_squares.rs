@@ -239,20 +239,30 @@ impl<P: Clone> Fit<P> {
         group: &[usize],
         settings: Settings,
     ) -> Option<DVector<f64>> {
-        let jacobian = rows.jacobian.select_rows(group);
+        let leverage = |&k: &usize| {
+            let row = rows.jacobian.row(k);
+            weights[k] * (row * &self.inverse).dot(&row)
+        };
+        let leverage: f64 = group.iter().map(leverage).sum();
         let residual = rows.residual.select_rows(group);
-        let mut hat = &jacobian * &self.inverse * jacobian.transpose();
-        for (mut column, k) in hat.column_iter_mut().zip(group) {
-            column.scale_mut(weights[*k]);
-        }
-        let found = if hat.trace() > MOST_LEVERAGE {
+        let found = if leverage > MOST_LEVERAGE {
             let mut others: Vec<f64> = weights.to_vec();
             group.iter().for_each(|k| others[*k] = 0.0);
             let without = minimise(model, &self.at, &others, settings)?;
             model.rows(&without.at)?.residual.select_rows(group)
+        } else if group.len() == 1 {
+            residual / (1.0 - leverage)
         } else {
-            let rest = DMatrix::identity(group.len(), group.len()) - hat;
-            rest.lu().solve(&residual)?
+            // In the space of the unknowns: a group may have far more observations.
+            let jacobian = rows.jacobian.select_rows(group);
+            let mut weighted = jacobian.clone();
+            for (mut row, k) in weighted.row_iter_mut().zip(group) {
+                row.scale_mut(weights[*k]);
+            }
+            let taken = &self.inverse * jacobian.tr_mul(&weighted);
+            let rest = DMatrix::identity(taken.nrows(), taken.ncols()) - taken;
+            let step = rest.lu().solve(&(&self.inverse * weighted.tr_mul(&residual)))?;
+            residual + jacobian * step
         };
         found.iter().all(|r| r.is_finite()).then_some(found)
     }

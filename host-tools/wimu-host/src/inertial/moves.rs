@@ -10,7 +10,7 @@ use serde::ser::{Serialize, SerializeStruct, Serializer};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
-use super::smooth::Change;
+use super::smooth::Tape;
 use super::unit::{Unit, runs};
 use super::{Choice, Method, PathPoint, Zupt};
 
@@ -70,12 +70,14 @@ impl Move {
     }
 }
 
-/// Replaces what the move alone shows by what the whole recording shows, where it was smoothed.
-pub(super) fn smoothed_moves(moves: &mut [Move], points: &[PathPoint], changes: &[Change]) {
+/// Replaces what the move alone shows by what the whole recording shows, where it was smoothed. A move within which later
+/// samples contradict the path is not known.
+pub(super) fn smoothed_moves(moves: &mut [Move], points: &[PathPoint], tape: &Tape) {
     let at = |time_s: f64| points.partition_point(|point| point.time_s < time_s);
     for one in moves {
         let (from, to) = (at(one.from_s), at(one.to_s));
-        let Some(change) = changes.iter().find(|c| (c.from, c.to) == (from, to)) else {
+        let Some(change) = tape.changes.iter().find(|c| (c.from, c.to) == (from, to)) else {
+            one.valid &= tape.contradictions == 0;
             continue;
         };
         let position = |k: usize| Vector3::from(points[k].position_m);

@@ -342,7 +342,7 @@ impl Navigator {
         };
         tape.finish(&mut self.core, &mut points);
         self.contradictions = tape.contradictions;
-        super::moves::smoothed_moves(moves, &points, &tape.changes);
+        super::moves::smoothed_moves(moves, &points, &tape);
         let contradicted = self.segments.clone().finish(&mut points, moves);
         (points, contradicted)
     }

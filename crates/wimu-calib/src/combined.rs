@@ -81,7 +81,7 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
         if let Some(slot) = slope_of(parameter) {
             let unit = if i < 3 { 1.0 } else { best[i].at[0] };
             theta[slot.index()] = best[i].at[1] / unit;
-            slope_sd.set(slot, libm::sqrt(lines[i].covariance[(1, 1)]) / unit);
+            slope_sd.set(slot, lines[i].slope_sd() / unit);
         }
     }
     let model = model(&theta, &sessions)

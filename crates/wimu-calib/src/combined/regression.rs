@@ -55,6 +55,11 @@ pub(super) struct Line {
 }
 
 impl Line {
+    /// Standard deviation of the slope; 0 without one.
+    pub fn slope_sd(&self) -> f64 {
+        if self.prior < NO_SLOPE { libm::sqrt(self.covariance[(1, 1)]) } else { 0.0 }
+    }
+
     /// Weight of a session in the level, from its variance and temperature.
     fn gain(&self, variance: f64, kelvin: f64) -> f64 {
         (self.covariance[(0, 0)] + self.covariance[(0, 1)] * kelvin) / (variance + self.between)

@@ -132,7 +132,7 @@ fn every_methods_calibration_is_pushed_and_exported_as_it_is() {
         let held = wimu(&["device", "params", "push", &board.cable, &cal]).succeeds();
         assert_eq!(held["parameters"], report["parameters"], "{flags:?}");
         assert_eq!(held["parameter_id"], report["parameter_id"], "{flags:?}");
-        for format in ["rust", "c", "kalibr"] {
+        for format in ["c", "kalibr"] {
             let out = path(&format!("{format}{k}"));
             wimu(&["convert", &cal, "--to", format, "-o", &out]).succeeds();
             let text = fs::read_to_string(&out).unwrap();

@@ -25,9 +25,9 @@ const FEWEST: usize = 10;
 /// Half width of the window that shows an outlier, samples: that of a Hampel identifier (R. K. Pearson, "Outliers in process
 /// modeling and identification", IEEE Trans. Control Syst. Technol. 10, 2002).
 const HALF_WIDTH: usize = 3;
-/// An outlier's distance from the mean of its neighbours is so many times the range of the window's other samples, and so many
-/// times the axis's median distance and its resolution: a fault of the bus or the logger, which no motion within the bandwidth
-/// shows. Chosen on the recordings of hands, robot arms and feet in shared/data.
+/// Least distance of an outlier from the mean of its neighbours, in units of each of: the range of the window's other samples,
+/// the axis's median distance, and its resolution. No motion within the bandwidth is that far: the cause is the bus or the
+/// logger. Chosen on the recordings of hands, robot arms and feet in shared/data.
 const OUTLIER: f64 = 10.0;
 
 /// Samples that are left out, from a recording's first to its last, and what to say of them.

@@ -16,11 +16,11 @@ const NEAR: f64 = 0.1;
 const CALIBRATED: f64 = 0.02;
 /// |f| of a whole recording is, in the median, gravity within this factor.
 const FAR: f64 = 3.0;
-/// A sensor that gives one value for so long, s, and in so many samples, ...
+/// A dead sensor gives one value for at least this time, s, and in at least this number of samples, while gravity or the
+/// magnetic field turns.
 const STUCK_S: f64 = 1.0;
 const STUCK_SAMPLES: usize = 50;
-/// ... while gravity or the magnetic field, as large as before within this share,
-/// turns by more than this, rad: 20°, is dead.
+/// The vector that turns keeps its norm within this share, and turns by more than this angle, rad: 20°.
 const AS_LARGE: f64 = 0.02;
 const TURNED_RAD: f64 = 0.35;
 
@@ -31,13 +31,13 @@ const FACE_DOWN: f64 = -0.7;
 /// Of the magnetic field, along gravity: it dips.
 const DIPS: f64 = 0.2;
 
-/// Full scales of accelerometers, *g*; a value this near to one, as a share of it, ...
+/// Full scales of accelerometers, *g*, and the largest relative distance of a clipped value from one.
 const SCALES_G: [f64; 5] = [2.0, 4.0, 8.0, 16.0, 32.0];
 const AT_SCALE: f64 = 0.03;
-/// ... that is an axis's largest and comes so often is where it clips.
+/// Fewest occurrences of an axis's largest value where it clips.
 const CLIPS: usize = 3;
 
-/// A slow magnetometer's reading may be held for so long, s.
+/// Longest time for which a slow magnetometer's reading is held, s.
 const HELD_S: f64 = 3.0;
 /// What was found.
 #[derive(Clone, Debug, Default)]
@@ -220,8 +220,8 @@ fn gravity(recording: &Imu) -> Result<Option<f64>> {
     }
 }
 
-/// The sample from which on all axes of a sensor stand still for so long, s, and more while one of the others shows that
-/// the unit turns.
+/// The sample from which on no axis of a sensor changes for `longer_s`, s, or more, while one of the others shows that the
+/// unit turns.
 fn silent(recording: &Imu, sense: Sense, longer_s: f64, others: &[Sense]) -> Option<usize> {
     let (times_s, samples) = (&recording.times_s(), &recording.samples.v);
     let mut first = 0;

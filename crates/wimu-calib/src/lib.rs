@@ -6,7 +6,6 @@ extern crate alloc;
 
 mod alignment;
 pub mod array;
-mod blocks;
 mod combined;
 mod covariance;
 mod design;

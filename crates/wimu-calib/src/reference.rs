@@ -1,25 +1,19 @@
 //! Calibration against a reference: two streams of the same motion.
 
-mod ends;
-mod row;
-mod sums;
+mod regression;
 
 use alloc::format;
+use alloc::vec::Vec;
 
 use wimu_model::{ErrorModel, ErrorTerms, ModelError, STANDARD_GRAVITY_MPS2};
 
-use crate::blocks::Blocks;
 use crate::orientation::axis_name;
 use crate::{Reason, Refusal, UnitHint, input, student};
-use ends::Ends;
 use nalgebra::Vector3;
-use row::{Fitting, How};
-use sums::{Pair, Recent, Sums};
+use regression::{How, Pair, Regression, block_length};
 
-/// Largest number of blocks; full blocks are then merged in pairs.
-const BLOCKS: usize = 32;
 /// Smallest number of samples.
-const FEWEST: u64 = 8;
+const FEWEST: usize = 8;
 /// Smallest motion for a scale factor, m/s² rms: the drifts of two sensors during warm-up would
 /// look like one.
 const LEAST_MOTION_MPS2: f64 = 0.5;
@@ -28,6 +22,12 @@ const LEAST_CORRELATION: f64 = 0.9;
 
 /// Significance threshold of a cross-axis sensitivity, standard deviations.
 const SEEN_DEVIATIONS: f64 = 4.0;
+/// Smallest number of samples at an extreme value that may be a limit.
+const PILE: usize = 10;
+/// Significance threshold for the excess of the other stream there, standard deviations; and the excess that
+/// quantisation can hide, in quantisation steps of both streams.
+const CLIPPED_DEVIATIONS: f64 = 4.0;
+const HIDDEN_STEPS: f64 = 0.5;
 
 /// Source of the ratio of the noises of an axis of output and reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,8 +130,6 @@ impl Transfer {
 /// Compares two noisy streams of the same motion: bias, scale factor and cross-axis sensitivity of
 /// every axis that moves. Equations (50) and (51) of docs/reference/equations.
 ///
-/// Memory is fixed (45 KB): sums over blocks whose length grows with the recording.
-///
 /// ```
 /// use wimu_calib::ReferenceTransfer;
 ///
@@ -151,38 +149,19 @@ impl Transfer {
 /// assert!((found.axes[2].offset_mps2 - 0.1).abs() < 1e-9);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ReferenceTransfer {
     /// Whether cross-axis sensitivity is excluded.
     parallel: bool,
-    /// The first pair: sums are of differences from it.
-    origin: Option<Pair>,
-    recent: Recent,
-    blocks: Blocks<Sums, BLOCKS>,
-    ends: [Ends; 3],
-    samples: u64,
+    samples: Vec<Pair>,
     not_finite: u64,
 }
 
-impl Default for ReferenceTransfer {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl ReferenceTransfer {
-    /// An empty comparison. The noise of both streams is estimated from lagged products, which requires motion that is
-    /// slow for the sample rate. [`Line::noise_from`] says whether it was.
+    /// An empty comparison. The noise of both streams is estimated from neighbouring samples, which requires motion that
+    /// is slow for the sample rate. [`Line::noise_from`] says whether it was.
     pub fn new() -> Self {
-        Self {
-            parallel: false,
-            origin: None,
-            recent: Recent::new(),
-            blocks: Blocks::new(),
-            ends: [Ends::none(); 3],
-            samples: 0,
-            not_finite: 0,
-        }
+        Self::default()
     }
 
     /// Declares that both streams come from one sensor over two links: their axes are identical.
@@ -193,22 +172,12 @@ impl ReferenceTransfer {
 
     /// Adds a sample of both streams, m/s², taken at the same time.
     pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
-        let finite = |v: [f64; 3]| v.iter().all(|c| c.abs() < 1e6);
-        if !finite(reference_mps2) || !finite(output_mps2) {
+        let pair = [reference_mps2, output_mps2];
+        if pair.as_flattened().iter().all(|c| c.abs() < 1e6) {
+            self.samples.push(pair.map(Vector3::from));
+        } else {
             self.not_finite += 1;
-            self.recent.clear();
-            return;
         }
-        let pair = [reference_mps2, output_mps2].map(Vector3::from);
-        let origin = *self.origin.get_or_insert(pair);
-        let [x, y] = [pair[0] - origin[0], pair[1] - origin[1]];
-        for (axis, ends) in self.ends.iter_mut().enumerate() {
-            ends.take([x[axis], y[axis]]);
-        }
-        if let Some(block) = self.blocks.next(|a, b| a.plus(b, 1.0)) {
-            block.take([x, y], &mut self.recent);
-        }
-        self.samples += 1;
     }
 
     /// The result for the pairs so far.
@@ -216,72 +185,58 @@ impl ReferenceTransfer {
     /// # Errors
     /// [`Refusal`].
     pub fn result(&self) -> Result<Transfer, Refusal> {
-        let (Some(origin), FEWEST..) = (self.origin, self.samples) else {
-            let (have, need) = (self.samples as usize, FEWEST as usize);
+        let (have, need) = (self.samples.len(), FEWEST);
+        if have < need {
             let text = format!(
                 "{have} samples are on both streams, {need} are needed: record both at the same time"
             );
             return Err(Refusal::new(Reason::TooFew { have, need }, text));
-        };
-        let all = self.all();
-        let central = all.central();
-        let sides = [(central.x, central.xx.diagonal()), (central.y, central.yy)];
-        for (side, (mean, variance)) in sides.into_iter().enumerate() {
-            let rms_mps2 = libm::sqrt((origin[side] + mean).norm_squared() + variance.sum());
+        }
+        for (side, name) in ["rms of the reference", "rms of the output"].into_iter().enumerate() {
+            let squares: f64 = self.samples.iter().map(|pair| pair[side].norm_squared()).sum();
+            let rms_mps2 = libm::sqrt(squares / have as f64);
             // Motion increases it by any factor that does not indicate another unit.
             let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
-                return Err(Refusal::unit(
-                    ["rms of the reference", "rms of the output"][side],
-                    rms_mps2,
-                    hint,
-                ));
+                return Err(Refusal::unit(name, rms_mps2, hint));
             }
         }
-        let axis = |axis| self.axis(axis, origin, &all);
         Ok(Transfer {
-            axes: [axis(0)?, axis(1)?, axis(2)?],
-            samples: self.samples,
+            axes: [self.axis(0)?, self.axis(1)?, self.axis(2)?],
+            samples: have as u64,
             not_finite: self.not_finite,
-            dof: self.blocks.all().len() - 1,
+            dof: have.div_ceil(block_length(have)) - 1,
         })
     }
 
-    fn axis(&self, axis: usize, origins: Pair, all: &Sums) -> Result<AxisTransfer, Refusal> {
-        let origin = origins.map(|origin| origin[axis]);
-        let moments = all.axis(axis).moments();
-        // Jackknife over the blocks: equation (51).
-        let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
-        for block in self.blocks.all() {
-            let rest = all.plus(block, -1.0).axis(axis).moments();
-            let step = rest.y - rest.x - mean;
-            count += 1.0;
-            mean += step / count;
-            squares += step * (rest.y - rest.x - mean);
-        }
+    fn axis(&self, axis: usize) -> Result<AxisTransfer, Refusal> {
+        let pairs = || self.samples.iter().map(|[x, y]| [x[axis], y[axis]]);
+        let moments = Moments::of(pairs());
+        let offset = Regression::new(&self.samples, axis, [false; 3]);
         let slope = moments.slope();
         let transfer = AxisTransfer {
-            at_mps2: origin[0] + moments.x,
-            offset_mps2: origin[1] - origin[0] + moments.y - moments.x,
-            offset_sd_mps2: libm::sqrt((count - 1.0) / count * squares),
+            at_mps2: moments.x,
+            offset_mps2: moments.y - moments.x,
+            offset_sd_mps2: offset
+                .ordinary()
+                .map_or(0.0, |found| libm::sqrt(found.scatter()[(0, 0)])),
             motion_mps2: slope.map_or(0.0, |slope| libm::sqrt((moments.xy / slope).max(0.0))),
             rms_mps2: libm::sqrt(moments.left(1.0).max(0.0)),
             line: None,
             cross_axis: [0.0; 3],
         };
         // Without motion the streams cannot be compared.
-        let moves = libm::sqrt(moments.xx.max(moments.yy)) >= LEAST_MOTION_MPS2;
-        if !moves {
+        if libm::sqrt(moments.xx.max(moments.yy)) < LEAST_MOTION_MPS2 {
             return Ok(transfer);
         }
-        if let Some(end) = self.ends[axis].stopped(&all.axis(axis)) {
+        // The output first.
+        if let Some((side, at, count)) = [1, 0].into_iter().find_map(|side| stopped(pairs(), side))
+        {
             let text = format!(
-                "axis {} of the {} stops at {:.3} m/s² in {} samples while the other goes on: it is saturated; choose a \
-                 larger range, or move it less",
+                "axis {} of the {} stops at {at:.3} m/s² in {count} samples while the other goes on: it is saturated; choose \
+                 a larger range, or move it less",
                 axis_name(axis),
-                ["reference", "output"][end.side],
-                origin[end.side] + end.at,
-                end.samples
+                ["reference", "output"][side],
             );
             return Err(Refusal::new(Reason::Axis { axis, clipped: true }, text));
         }
@@ -289,58 +244,117 @@ impl ReferenceTransfer {
         if slope.is_none() || correlation.is_nan() || correlation < LEAST_CORRELATION {
             return Err(another_motion(axis, correlation));
         }
-        self.line(transfer, axis, origins, all).ok_or_else(|| one_motion_only(axis))
+        self.line(transfer, axis).ok_or_else(|| one_motion_only(axis))
     }
 
     /// `transfer` with its regression; `None` if a short part of the motion decides.
-    fn line(
-        &self,
-        mut transfer: AxisTransfer,
-        axis: usize,
-        origins: Pair,
-        all: &Sums,
-    ) -> Option<AxisTransfer> {
-        let spread = all.central();
-        let fitting = Fitting::new(axis, origins, &spread, LEAST_MOTION_MPS2, self.parallel);
-        let how = fitting.how(all);
-        let row = fitting.find(all, how)?;
-        let blocks = self.blocks.all().iter().map(|block| {
-            let left = all.plus(block, -1.0);
-            let moves = left.axis(axis).moments().xx > spread.xx[(axis, axis)] * 0.1;
-            (*block, fitting.find(&left, how).filter(|_| moves))
-        });
-        let (scatter, dof) = fitting.scatter(&row, all, blocks)?;
-        let mut covariance = scatter;
-        fitting.add_unseen(&mut covariance, all, how, self.parallel)?;
-        let sees = [1, 2, 3].map(|i: usize| row[i]);
+    fn line(&self, mut transfer: AxisTransfer, axis: usize) -> Option<AxisTransfer> {
+        let least = LEAST_MOTION_MPS2 * LEAST_MOTION_MPS2;
+        let fitting = Regression::with_motion(&self.samples, axis, least, self.parallel);
+        let (found, how) = fitting.find()?;
+        let dof = fitting.dof()?;
+        let scatter = found.scatter();
+        let covariance = scatter + fitting.unseen(&found, how, self.parallel)?;
+        let sees = [1, 2, 3].map(|i: usize| found.row[i]);
         for other in (0..3).filter(|&other| other != axis && fitting.with[other]) {
             let variance = scatter[(1 + other, 1 + other)];
             if sees[other].abs() > SEEN_DEVIATIONS * libm::sqrt(variance) + 1e-6 {
                 transfer.cross_axis[other] = sees[other];
             }
         }
-        transfer.rms_mps2 = libm::sqrt(fitting.left(&spread, &sees.into()).max(0.0));
+        transfer.rms_mps2 = libm::sqrt(found.residual_variance());
         let own = |other: usize| f64::from(u8::from(other == axis));
         transfer.line = Some(Line {
-            bias_mps2: row[0],
+            bias_mps2: found.row[0],
             scale: 1.0 + sees[axis],
             row: [0, 1, 2].map(|other| own(other) + sees[other]),
             fitted: fitting.with,
-            covariance: [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| covariance[(i, j)])),
-            dof: [dof[0], dof[1 + axis]],
+            covariance: covariance.transpose().into(),
+            dof,
             noise_from: match how {
                 How::Neighbours(_) => NoiseFrom::Neighbours,
-                How::Bounds => NoiseFrom::Bounds,
+                _ => NoiseFrom::Bounds,
             },
         });
         Some(transfer)
     }
+}
 
-    /// Sums over all blocks.
-    fn all(&self) -> Sums {
-        let blocks = self.blocks.all().iter();
-        blocks.fold(Sums::default(), |sums, block| sums.plus(block, 1.0))
+/// Means and central second moments of an axis of both streams.
+struct Moments {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Moments {
+    fn of(pairs: impl Iterator<Item = [f64; 2]> + Clone) -> Self {
+        let n = pairs.clone().count() as f64;
+        let (x, y) = pairs.clone().fold((0.0, 0.0), |(x, y), pair| (x + pair[0], y + pair[1]));
+        let mut found = Self { n, x: x / n, y: y / n, xx: 0.0, xy: 0.0, yy: 0.0 };
+        for [x, y] in pairs {
+            let [x, y] = [x - found.x, y - found.y];
+            found.xx += x * x / n;
+            found.xy += x * y / n;
+            found.yy += y * y / n;
+        }
+        found
     }
+
+    /// Deming's slope for equal noise.
+    fn slope(&self) -> Option<f64> {
+        let apart = self.yy - self.xx;
+        let root = libm::hypot(apart, 2.0 * self.xy);
+        // Two forms of the same root; each keeps its digits on its side.
+        let slope = if apart >= 0.0 {
+            (apart + root) / (2.0 * self.xy)
+        } else {
+            2.0 * self.xy / (root - apart)
+        };
+        (slope.is_finite() && slope != 0.0).then_some(slope)
+    }
+
+    /// What is left of y less `slope` times x, squared.
+    fn left(&self, slope: f64) -> f64 {
+        self.yy - 2.0 * slope * self.xy + slope * slope * self.xx
+    }
+}
+
+/// The extreme reading at which `side` (0 the reference, 1 the output) is clipped, and its number of samples: on average
+/// the other stream exceeds there the regression line through the remaining samples. Noise, which is selected by the
+/// extreme value, has the opposite effect.
+fn stopped(
+    pairs: impl Iterator<Item = [f64; 2]> + Clone,
+    side: usize,
+) -> Option<(usize, f64, usize)> {
+    let limits = input::extremes(pairs.clone().map(|pair| pair[side]));
+    let at_limit = |limit: f64| pairs.clone().filter(move |pair| pair[side] == limit);
+    let piles = limits.map(|limit| Some(limit).filter(|limit| at_limit(*limit).count() >= PILE));
+    let free = Moments::of(pairs.clone().filter(|pair| !piles.contains(&Some(pair[side]))));
+    let slope = free.slope().filter(|_| free.n >= PILE as f64)?;
+    let noise = libm::sqrt(free.left(slope).max(0.0));
+    let step = |side: usize| {
+        let steps =
+            pairs.clone().zip(pairs.clone().skip(1)).map(|(a, b)| (b[side] - a[side]).abs());
+        let least = steps.filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min);
+        if least.is_finite() { least } else { 0.0 }
+    };
+    for (high, limit) in piles.into_iter().enumerate() {
+        let Some(limit) = limit else { continue };
+        let pile = Moments::of(at_limit(limit));
+        let off = pile.y - free.y - slope * (pile.x - free.x);
+        // A clipped output is too small; a clipped reference is exceeded.
+        let off = if side == 0 && slope < 0.0 { -off } else { off };
+        let short = if high == side { -off } else { off };
+        let hidden = HIDDEN_STEPS * (step(1) + slope.abs() * step(0));
+        if short > CLIPPED_DEVIATIONS * noise / libm::sqrt(pile.n) + hidden {
+            return Some((side, limit, pile.n as usize));
+        }
+    }
+    None
 }
 
 fn one_motion_only(axis: usize) -> Refusal {

@@ -1,31 +1,42 @@
-//! Overlapping Allan deviation of a sensor at rest, computed sample by sample.
+//! Overlapping Allan deviation of a sensor at rest.
 
-mod rest;
 mod terms;
 
 use alloc::format;
 use alloc::vec::Vec;
 
-use rest::{Limits, Rest};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::orientation::axis_name;
 use crate::{Reason, Refusal, input};
 
-/// Number of levels, an octave of averaging time each.
-const LEVELS: usize = 26;
-/// Cluster length of a level, in its steps; a cluster begins at every step.
-const LENGTH: usize = 8;
-/// Number of values of the running sum that a level needs.
-const KEPT: usize = 2 * LENGTH + 1;
-/// Number of averaging times: 1, 2 and 4 samples, then one per level.
-const POINTS: usize = 3 + LEVELS;
+/// Number of averaging times: 1, 2, 4, … samples.
+const POINTS: usize = 29;
+/// Beginnings of clusters in the length of a cluster, at most.
+const OVERLAP: usize = 8;
 /// Smallest number of samples.
-const FEWEST: u64 = 500;
+const FEWEST: usize = 500;
 /// Largest χ² per degree of freedom of a noise model.
 const MOST_MISFIT: f64 = 5.0;
 /// Smallest degrees of freedom of a point.
 const LEAST_EDF: f64 = 4.0;
+/// Largest variance of a second at rest, relative to the geometric mean.
+const MOST_BURST: f64 = 20.0;
+
+/// Limits of a quantity at rest.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    /// Largest difference between the means of two seconds, drift included.
+    wander: f64,
+    /// Largest noise, rms in a second.
+    noise: f64,
+}
+
+/// Specific force, m/s²: 20 mg, 50 mg.
+const FORCE: Limits = Limits { wander: 0.2, noise: 0.5 };
+/// Angular rate, rad/s: the change of the offset over 30 K (L3GD20 datasheet, 0.04 °/s/K), and three times the noise of
+/// a noisy consumer gyroscope at its full bandwidth (L3G4200D datasheet, 0.03 °/s/√Hz at 800 Hz).
+const RATE: Limits = Limits { wander: 0.02, noise: 0.05 };
 
 /// One averaging time of an Allan deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,49 +130,16 @@ impl AxisNoise {
     }
 }
 
-/// The latest values of the running sum at one level, every 2^level-th sample.
-type Level = heapless::Deque<[f64; 3], KEPT>;
-
-/// Second difference of the running sum over the latest two clusters of `m` steps.
-fn second_difference(level: &Level, m: usize) -> Option<[f64; 3]> {
-    let back = |by: usize| level.get(level.len().checked_sub(1 + by)?);
-    let (last, middle, first) = (back(0)?, back(m)?, back(2 * m)?);
-    Some([0, 1, 2].map(|axis: usize| {
-        let (late, early) = (last[axis] - middle[axis], middle[axis] - first[axis]);
-        late - early
-    }))
-}
-
-/// Second differences of one averaging time.
-#[derive(Clone, Copy, Debug)]
-struct Squares {
-    /// Sum of their squares.
-    sum: [f64; 3],
-    count: u64,
-}
-
-impl Squares {
-    const ZERO: Self = Self { sum: [0.0; 3], count: 0 };
-
-    fn take(&mut self, difference: [f64; 3]) {
-        for (sum, d) in self.sum.iter_mut().zip(difference) {
-            *sum += d * d;
-        }
-        self.count += 1;
-    }
-}
-
 /// Cluster length of the k-th averaging time, samples.
-fn cluster(place: usize) -> u64 {
-    1 << place
+fn cluster(place: usize) -> f64 {
+    (1_u64 << place) as f64
 }
 
 /// Allan deviation of a stream of samples at rest, and the noise model fitted to it. Equations (52)
 /// and (53) of docs/reference/equations.
 ///
 /// Averaging times are 1, 2, 4, 8, … samples. Clusters start at every sample up to 8 samples,
-/// beyond at every eighth of their length, which loses less than 1 % of the information. Memory (13
-/// KB) and the cost per sample are fixed.
+/// beyond at every eighth of their length, which loses less than 1 % of the information.
 ///
 /// ```
 /// use wimu_calib::AllanVariance;
@@ -187,59 +165,42 @@ fn cluster(place: usize) -> u64 {
 #[derive(Clone, Debug)]
 pub struct AllanVariance {
     rate_hz: f64,
+    limits: Limits,
     /// Whether the mean output must be gravity.
     shows_gravity: bool,
-    origin: Option<[f64; 3]>,
-    /// Running sum of the samples minus the first.
-    sum: [f64; 3],
-    /// Number of samples, and of those since the latest gap.
-    samples: u64,
-    run: u64,
-    longest_run: u64,
-    levels: [Level; LEVELS],
-    /// By averaging time.
-    squares: [Squares; POINTS],
-    rest: Rest,
-    /// Sum of all samples minus the first.
-    total: [f64; 3],
-    /// The previous sample, and the smallest change from one to the next.
-    last: [f64; 3],
-    step: [f64; 3],
+    /// The first sample, and all minus it.
+    origin: [f64; 3],
+    samples: Vec<[f64; 3]>,
+    /// Where a run of samples without a gap begins.
+    starts: Vec<usize>,
 }
 
 impl AllanVariance {
     /// A computation for samples of an accelerometer at `rate_hz`; a rate that is not positive and finite counts as 1
     /// Hz.
     pub fn new(rate_hz: f64) -> Self {
-        Self::within(rate_hz, Limits::FORCE, true)
+        Self::within(rate_hz, FORCE, true)
     }
 
     /// The same for a gyroscope: rad/s wherever m/s² is written here.
     pub fn of_gyroscope(rate_hz: f64) -> Self {
-        Self::within(rate_hz, Limits::RATE, false)
+        Self::within(rate_hz, RATE, false)
     }
 
     fn within(rate_hz: f64, limits: Limits, shows_gravity: bool) -> Self {
-        let rate_hz = if rate_hz.is_finite() && rate_hz > 0.0 { rate_hz } else { 1.0 };
-        Self {
-            rate_hz,
+        let mut new = Self {
+            rate_hz: 1.0,
+            limits,
             shows_gravity,
-            origin: None,
-            sum: [0.0; 3],
-            samples: 0,
-            run: 0,
-            longest_run: 0,
-            levels: [const { Level::new() }; LEVELS],
-            squares: [Squares::ZERO; POINTS],
-            rest: Rest::new(rate_hz, limits),
-            total: [0.0; 3],
-            last: [0.0; 3],
-            step: [f64::INFINITY; 3],
-        }
+            origin: [0.0; 3],
+            samples: Vec::new(),
+            starts: Vec::new(),
+        };
+        new.set_rate(rate_hz);
+        new
     }
 
-    /// Replaces the rate, Hz, by one that is known better; it should be near the first one, by which the length of the blocks
-    /// was chosen that show whether the sensor was at rest.
+    /// Replaces the rate, Hz, by one that is known better.
     pub fn set_rate(&mut self, rate_hz: f64) {
         if rate_hz.is_finite() && rate_hz > 0.0 {
             self.rate_hz = rate_hz;
@@ -251,91 +212,119 @@ impl AllanVariance {
         if !sample_mps2.iter().all(|axis| axis.abs() < 1e6) {
             return self.gap();
         }
-        let origin = *self.origin.get_or_insert(sample_mps2);
-        if self.run == 0 {
-            self.start();
+        if self.samples.is_empty() {
+            self.origin = sample_mps2;
+            self.starts.push(0);
         }
-        let off: [f64; 3] = core::array::from_fn(|axis| sample_mps2[axis] - origin[axis]);
-        for axis in 0..3 {
-            self.sum[axis] += off[axis];
-            self.total[axis] += off[axis];
-            let step = (off[axis] - self.last[axis]).abs();
-            if step > 0.0 && step < self.step[axis] {
-                self.step[axis] = step;
-            }
-        }
-        self.last = off;
-        self.samples += 1;
-        self.run += 1;
-        self.longest_run = self.longest_run.max(self.run);
-        self.rest.take(off);
-        self.keep();
+        let off = [0, 1, 2].map(|axis: usize| sample_mps2[axis] - self.origin[axis]);
+        self.samples.push(off);
     }
 
     /// Marks missing samples: no cluster spans them.
     pub fn gap(&mut self) {
-        self.run = 0;
-        self.rest.gap();
+        self.starts.push(self.samples.len());
+        self.starts.dedup();
     }
 
     /// Number of samples.
     pub fn samples(&self) -> u64 {
-        self.samples
+        self.samples.len() as u64
     }
 
-    fn start(&mut self) {
-        self.sum = [0.0; 3];
-        for level in &mut self.levels {
-            level.clear();
-        }
-        self.keep();
+    /// The runs of samples without a gap.
+    fn runs(&self) -> impl Iterator<Item = &[[f64; 3]]> {
+        self.starts.iter().enumerate().filter_map(|(k, start)| {
+            let end = self.starts.get(k + 1).copied().unwrap_or(self.samples.len());
+            self.samples.get(*start..end)
+        })
     }
 
-    fn keep(&mut self) {
-        for (octave, level) in self.levels.iter_mut().enumerate() {
-            if self.run & ((1 << octave) - 1) != 0 {
-                break;
-            }
-            if level.is_full() {
-                level.pop_front();
-            }
-            let _ = level.push_back(self.sum);
-            let shorter: &[usize] = if octave == 0 { &[1, 2, 4] } else { &[] };
-            let first = if octave == 0 { 0 } else { octave + 3 };
-            for (m, squares) in
-                shorter.iter().copied().chain([LENGTH]).zip(self.squares.iter_mut().skip(first))
-            {
-                if let Some(difference) = second_difference(level, m) {
-                    squares.take(difference);
+    fn longest_run(&self) -> usize {
+        self.runs().map(<[_]>::len).max().unwrap_or(0)
+    }
+
+    /// σ²(τ) of each averaging time, as far as there are clusters.
+    fn variances(&self) -> Vec<[f64; 3]> {
+        let mut sums = [([0.0; 3], 0.0); POINTS];
+        for run in self.runs() {
+            let mut sum = [0.0; 3];
+            let mut running = alloc::vec![sum];
+            running.extend(run.iter().map(|off| {
+                sum = [0, 1, 2].map(|axis: usize| sum[axis] + off[axis]);
+                sum
+            }));
+            for (place, (squares, count)) in sums.iter_mut().enumerate() {
+                let length = 1 << place;
+                let mut first = 0;
+                while let Some(last) = running.get(first + 2 * length) {
+                    let (middle, begin) = (running[first + length], running[first]);
+                    for axis in 0..3 {
+                        let apart = (last[axis] - middle[axis]) - (middle[axis] - begin[axis]);
+                        squares[axis] += apart * apart;
+                    }
+                    *count += 1.0;
+                    first += (length / OVERLAP).max(1);
                 }
             }
         }
-    }
-
-    fn variance(&self, place: usize) -> Option<[f64; 3]> {
-        let all = self.squares.get(place)?;
-        let length = cluster(place) as f64;
-        let n = all.count as f64;
-        (all.count > 0).then(|| all.sum.map(|sum| sum / (2.0 * n * length * length)))
+        let known = sums.into_iter().enumerate().take_while(|(_, (_, count))| *count > 0.0);
+        let variance = |(place, (squares, count)): (usize, ([f64; 3], f64))| {
+            let length = cluster(place);
+            squares.map(|sum| sum / (2.0 * count * length * length))
+        };
+        known.map(variance).collect()
     }
 
     /// Degrees of freedom of an averaging time in white, flicker and random-walk noise.
     fn dof(&self, place: usize) -> [f64; 3] {
-        terms::degrees_of_freedom(self.longest_run as f64, cluster(place) as f64)
+        terms::degrees_of_freedom(self.longest_run() as f64, cluster(place))
     }
 
     /// The curve, shortest averaging time first, as far as the points have enough degrees of
     /// freedom.
     pub fn points(&self) -> impl Iterator<Item = AllanPoint> + '_ {
-        (0..POINTS).filter_map(|place| {
-            let length = cluster(place) as f64;
+        self.variances().into_iter().enumerate().filter_map(|(place, variance)| {
             let edf = self.dof(place).into_iter().fold(f64::INFINITY, f64::min);
-            let variance = self.variance(place).filter(|_| edf >= LEAST_EDF)?;
-            Some(AllanPoint {
-                tau_s: length / self.rate_hz,
+            (edf >= LEAST_EDF).then(|| AllanPoint {
+                tau_s: cluster(place) / self.rate_hz,
                 deviation_mps2: variance.map(libm::sqrt),
                 edf,
             })
+        })
+    }
+
+    /// Time of a motion, s, and the axis, from blocks of one second.
+    fn moved(&self) -> Option<(f64, usize)> {
+        let length = (self.rate_hz as usize).max(16);
+        let blocks = || self.runs().flat_map(|run| run.chunks_exact(length));
+        let n = length as f64;
+        (0..3).find_map(|axis| {
+            let mean = |block: &[[f64; 3]]| block.iter().map(|off| off[axis]).sum::<f64>() / n;
+            let (mut noisiest, mut logarithms, mut count) = ((0.0, 0.0), 0.0, 0.0);
+            let (mut least, mut largest) = ((f64::INFINITY, 0.0), (f64::NEG_INFINITY, 0.0));
+            for (k, block) in blocks().enumerate() {
+                let (at_s, mean) = ((k as f64 + 0.5) * n / self.rate_hz, mean(block));
+                let squares = block.iter().map(|off| (off[axis] - mean) * (off[axis] - mean));
+                let variance = (squares.sum::<f64>() / n).max(1e-8);
+                if variance > noisiest.0 {
+                    noisiest = (variance, at_s);
+                }
+                if mean < least.0 {
+                    least = (mean, at_s);
+                }
+                if mean > largest.0 {
+                    largest = (mean, at_s);
+                }
+                logarithms += libm::log(variance);
+                count += 1.0;
+            }
+            // The lower bound is for axes with mostly constant output.
+            let usual = libm::exp(logarithms / f64::max(count, 1.0)).max(1e-5);
+            let most = (MOST_BURST * usual).min(self.limits.noise * self.limits.noise);
+            if noisiest.0 > most {
+                return Some((noisiest.1, axis));
+            }
+            (largest.0 - least.0 > self.limits.wander).then(|| (largest.1.max(least.1), axis))
         })
     }
 
@@ -345,22 +334,22 @@ impl AllanVariance {
     /// [`Refusal`] when there are too few samples, the mean output is not gravity in m/s², the
     /// sensor was not at rest, or an axis is dead.
     pub fn result(&self) -> Result<[AxisNoise; 3], Refusal> {
-        if self.longest_run < FEWEST {
-            let (have, need) = (self.longest_run as usize, FEWEST as usize);
+        let (have, need) = (self.longest_run(), FEWEST);
+        if have < need {
             let text = format!(
                 "{have} samples at rest without a gap, {need} are needed: record for longer; ten minutes give the noise \
                  density, an hour or more the bias instability"
             );
             return Err(Refusal::new(Reason::TooFew { have, need }, text));
         }
+        let count = self.samples.len() as f64;
         let mean = |axis: usize| {
-            let origin = self.origin.map_or(0.0, |origin| origin[axis]);
-            origin + self.total[axis] / self.samples.max(1) as f64
+            self.origin[axis] + self.samples.iter().map(|off| off[axis]).sum::<f64>() / count
         };
         let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
         let mean_mps2 = libm::sqrt(squares);
         let hint = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2);
-        let moved = self.rest.moved();
+        let moved = self.moved();
         // A rotated sensor has a short mean in any unit; in too large a unit noise looks like
         // motion.
         let is_large = mean_mps2 > STANDARD_GRAVITY_MPS2;
@@ -375,13 +364,14 @@ impl AllanVariance {
             );
             return Err(Refusal::new(Reason::Moved { index: at_s as usize }, text));
         }
-        let [x, y, z] = [0, 1, 2].map(|axis| self.axis(axis));
+        let curve: Vec<AllanPoint> = self.points().collect();
+        let [x, y, z] = [0, 1, 2].map(|axis| self.axis(axis, &curve));
         Ok([x?, y?, z?])
     }
 
-    fn axis(&self, axis: usize) -> Result<AxisNoise, Refusal> {
-        let points: Vec<terms::Point> = self
-            .points()
+    fn axis(&self, axis: usize, curve: &[AllanPoint]) -> Result<AxisNoise, Refusal> {
+        let points: Vec<terms::Point> = curve
+            .iter()
             .enumerate()
             .map(|(place, point)| terms::Point {
                 tau_s: point.tau_s,
@@ -397,7 +387,10 @@ impl AllanVariance {
         let lowest = points.iter().min_by(|a, b| a.variance.total_cmp(&b.variance));
         let floor = lowest.ok_or_else(|| dead(axis))?;
         let sample_sd_mps2 = libm::sqrt(points[0].variance);
-        let step_mps2 = self.step[axis];
+        let pairs = self.samples.windows(2);
+        let steps =
+            pairs.map(|pair| (pair[1][axis] - pair[0][axis]).abs()).filter(|step| *step > 0.0);
+        let step_mps2 = steps.fold(f64::INFINITY, f64::min);
         Ok(AxisNoise {
             velocity_random_walk: white,
             bias_instability_mps2: flicker,

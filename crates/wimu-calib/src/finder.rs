@@ -5,8 +5,8 @@ mod moments;
 use alloc::vec::Vec;
 
 use crate::Pose;
+use moments::Moments;
 pub use moments::Noise;
-use moments::{Block, Moments};
 
 /// Number of blocks in the shortest hold.
 const BLOCKS: usize = 8;
@@ -49,7 +49,8 @@ pub struct PoseFinder {
     /// Smallest change from one sample to the next.
     step: f64,
     noise: Noise,
-    block: Block,
+    /// The block that is being filled.
+    block: Moments,
     /// The latest blocks, oldest first; the last `filled` of them are valid.
     window: [Moments; BLOCKS],
     filled: usize,
@@ -90,7 +91,7 @@ impl PoseFinder {
             last: None,
             step: noise.step,
             noise,
-            block: Block::default(),
+            block: Moments::default(),
             window: [Moments::default(); BLOCKS],
             filled: 0,
             hold: None,
@@ -125,7 +126,7 @@ impl PoseFinder {
         if !output_mps2.iter().all(|y| y.is_finite()) {
             self.last = None;
             self.filled = 0;
-            self.block = Block::default();
+            self.block = Moments::default();
             return self.end_hold();
         }
         let mut difference = 0.0;
@@ -139,14 +140,14 @@ impl PoseFinder {
                 }
             }
         }
-        if self.block.rest.samples == 0 {
-            self.block.rest.first = index;
+        if self.block.samples == 0 {
+            self.block.first = index;
         }
         self.block.add(output_mps2, difference, self.celsius);
-        if self.block.rest.samples < self.block_samples {
+        if self.block.samples < self.block_samples {
             return None;
         }
-        let block = core::mem::take(&mut self.block).moments();
+        let block = core::mem::take(&mut self.block);
         self.push_block(block)
     }
 
@@ -154,7 +155,7 @@ impl PoseFinder {
     /// may be pending.
     pub fn finish(&mut self) -> Option<Pose> {
         self.filled = 0;
-        self.block = Block::default();
+        self.block = Moments::default();
         self.end_hold()
             .or_else(|| self.candidate.take().map(|found| found.pose(self.rate_hz, &self.noise)))
     }

@@ -1,6 +1,7 @@
 //! Calibration from six known orientations: each side of the sensor up once.
 
 use alloc::format;
+use alloc::vec::Vec;
 
 use wimu_model::{ErrorModel, ErrorTerms};
 
@@ -61,129 +62,61 @@ pub fn six_position_labelled(
 
 /// Refuses recorded sides that contradict the readings.
 fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
-    let Some(index) = poses.iter().position(|(face, pose)| Face::of(pose) != Some(*face)) else {
-        return Ok(());
+    let mut wrong = (0..).zip(poses).filter(|(_, (face, pose))| Face::of(pose) != Some(*face));
+    let Some((index, (face, pose))) = wrong.next() else { return Ok(()) };
+    let Some(reads) = Face::of(pose) else {
+        let text =
+            format!("a pose recorded as {face} has no axis within 20° of the vertical: repeat it");
+        return Err(Refusal::new(Reason::Placement { index, steps: 6 }, text));
     };
-    let (face, first) = poses[index];
-    let disagreement = match Face::of(&first) {
-        Some(reads) => Refusal::new(
-            Reason::Axes,
-            format!(
-                "a pose recorded as {face} reads {reads}: check which side was up, and that the driver keeps the axes in \
-                 order"
-            ),
-        ),
-        None => Refusal::new(
-            Reason::Placement { index, steps: 6 },
-            format!("a pose recorded as {face} has no axis within 20° of the vertical: repeat it"),
-        ),
+    let is_negated = |(face, pose): &(Face, Pose)| {
+        Face::of(pose).is_some_and(|reads| reads.axis() == face.axis() && reads != *face)
     };
-    // Output for each axis pointing up: a signed permutation, if all poses agree.
-    let mut says = [None; 3];
-    for (face, pose) in poses {
-        let Some(reads) = Face::of(pose) else {
-            return Err(disagreement);
-        };
-        let said = (reads.axis(), reads.sign() * face.sign());
-        if *says[face.axis()].get_or_insert(said) != said {
-            return Err(disagreement);
-        }
-    }
-    let mut permutation = [[0.0; 3]; 3];
-    for (axis, said) in says.into_iter().enumerate() {
-        if let Some((row, sign)) = said {
-            permutation[row][axis] = sign;
-        }
-    }
-    let [[a, b, c], [d, e, f], [g, h, i]] = permutation;
-    if (a, e, i) == (-1.0, -1.0, -1.0) {
-        let text = "every axis recorded as up reads down: the output is minus the specific force; negate it, or record \
-                    the opposite side";
-        return Err(Refusal::new(Reason::Axes, text));
-    }
-    let determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
-    if determinant >= 0.0 {
-        return Err(disagreement);
-    }
-    let text = "the recorded orientations describe a left-handed sensor: the sides of one axis were exchanged, or the \
-                driver negates or swaps an axis";
+    let text = if poses.iter().all(is_negated) {
+        "every axis recorded as up reads down: the output is minus the specific force; negate it, or record the opposite \
+         side"
+            .into()
+    } else {
+        format!(
+            "a pose recorded as {face} reads {reads}: check which side was up, and that the driver keeps the axes in order"
+        )
+    };
     Err(Refusal::new(Reason::Axes, text))
 }
 
-/// Weighted sums of the poses of one side.
-#[derive(Clone, Copy, Default)]
-struct Side {
-    weight: f64,
-    /// Σ w² over the poses.
-    weight_squares: f64,
-    /// The first pose: sums are of differences from it, to keep their digits.
-    origin: Option<[f64; 3]>,
-    sum: [f64; 3],
-    /// Σ w² times the noise of its mean.
-    noise: [f64; 3],
-    /// Of the vertical axis, each pose with the same weight: count, sum and sum of squared differences from the first pose.
-    visits: f64,
-    upright: f64,
-    upright_squares: f64,
+/// A pose of a side and its factors in the bias of the vertical axis, and in its column of A, 1/(m/s²): equation (18).
+struct Used<'a> {
+    pose: &'a Pose,
+    axis: usize,
+    of_bias: f64,
+    of_column: f64,
 }
 
-impl Side {
-    /// Adds a pose in which `axis` is vertical.
-    fn add(&mut self, pose: &Pose, axis: usize) {
-        let w = pose.weight();
-        self.weight += w;
-        self.weight_squares += w * w;
-        let mean = pose.mean_mps2;
-        let origin = *self.origin.get_or_insert(mean);
-        for axis in 0..3 {
-            self.sum[axis] += w * (mean[axis] - origin[axis]);
-            self.noise[axis] += w * w * pose.noise(axis);
-        }
-        let upright = mean[axis] - origin[axis];
-        self.visits += 1.0;
-        self.upright += upright;
-        self.upright_squares += upright * upright;
-    }
-
-    fn mean(&self) -> [f64; 3] {
-        let origin = self.origin.unwrap_or_default();
-        core::array::from_fn(|axis| origin[axis] + self.sum[axis] / self.weight)
-    }
-
-    /// Variance of the mean from the sensor's noise.
-    fn noise_variance(&self) -> [f64; 3] {
-        self.noise.map(|n| n / (self.weight * self.weight))
-    }
-
-    /// 1 / the number of poses of equal weight with the same variance of the mean.
-    fn share(&self) -> f64 {
-        self.weight_squares / (self.weight * self.weight)
-    }
-
-    /// Sum of squared deviations of the vertical axis from its mean over the visits, (m/s²)².
-    fn revisit_squares(&self) -> f64 {
-        (self.upright_squares - self.upright * self.upright / self.visits).max(0.0)
-    }
+/// Poses of one side are averaged, weighted by their samples; both sides of an axis count alike.
+fn factors<'a>(poses: &[(Face, &'a Pose)], g: f64) -> Vec<Used<'a>> {
+    let of_pose = |&(face, pose): &(Face, &'a Pose)| {
+        let same = poses.iter().filter(|(other, _)| *other == face);
+        let of_bias = 0.5 * pose.weight() / same.map(|(_, pose)| pose.weight()).sum::<f64>();
+        Used { pose, axis: face.axis(), of_bias, of_column: face.sign() * of_bias / g }
+    };
+    poses.iter().map(of_pose).collect()
 }
-
-/// The six sides in the order of [`Face::ALL`].
-type Sides = [Side; 6];
 
 /// A by rows.
 type Matrix = [[f64; 3]; 3];
 
-/// b and A from the six sides: equation (18).
-fn solve(sides: &Sides, gravity_mps2: f64) -> ([f64; 3], Matrix) {
-    let mut bias = [0.0; 3];
-    let mut a = [[0.0; 3]; 3];
-    for axis in 0..3 {
-        let (up, down) = (sides[2 * axis].mean(), sides[2 * axis + 1].mean());
-        bias[axis] = 0.5 * (up[axis] + down[axis]);
+/// b and A.
+fn solve(used: &[Used<'_>], start: &Pose) -> ([f64; 3], Matrix) {
+    let (mut bias, mut a) = ([0.0; 3], [[0.0; 3]; 3]);
+    for Used { pose, axis, of_bias, of_column } in used {
+        // Differences from one pose keep their digits.
+        let y = |row: usize| pose.mean_mps2[row] - start.mean_mps2[row];
+        bias[*axis] += of_bias * y(*axis);
         for row in 0..3 {
-            a[row][axis] = 0.5 * (up[row] - down[row]) / gravity_mps2;
+            a[row][*axis] += of_column * y(row);
         }
     }
-    (bias, a)
+    ([0, 1, 2].map(|axis: usize| bias[axis] + start.mean_mps2[axis]), a)
 }
 
 fn estimate<'a>(
@@ -191,24 +124,23 @@ fn estimate<'a>(
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
-    let used = poses.clone().filter_map(|(face, pose)| Some((face?, pose)));
+    let placed: Vec<_> = poses.clone().filter_map(|(face, pose)| Some((face?, pose))).collect();
     let g = gravity.mps2();
-    let mut sides = Sides::default();
-    for (face, pose) in used.clone() {
-        sides[face as usize].add(pose, face.axis());
-    }
-    if let Some(face) = Face::ALL.into_iter().find(|face| sides[*face as usize].visits == 0.0) {
-        let have = sides.iter().filter(|side| side.visits > 0.0).count();
+    let missing =
+        Face::ALL.into_iter().filter(|face| placed.iter().all(|(placed, _)| placed != face));
+    if let Some(face) = missing.clone().next() {
+        let have = 6 - missing.count();
         let text = format!(
             "no pose has {face}: put the sensor down with {face}, within 20°, and hold it still"
         );
         return Err(Refusal::new(Reason::TooFew { have, need: 6 }, text));
     }
-    let (bias, a) = solve(&sides, g);
+    let used = factors(&placed, g);
+    let (bias, a) = solve(&used, placed[0].1);
     let model = ErrorModel::new(ErrorTerms { bias_mps2: bias, matrix: a, ..ErrorTerms::default() })
         .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     let theta = terms::theta_of(&model);
-    let shown = placement_squares(&sides, &bias, &a, g);
+    let shown = placement_squares(&used, &bias, &a, g);
     let shown_rad = libm::sqrt(shown / PLACEMENT_DOF as f64);
     if shown_rad > MOST_PLACEMENT_RAD {
         return Err(not_square(shown_rad));
@@ -217,11 +149,11 @@ fn estimate<'a>(
     let declared = placement.sd_rad() * placement.sd_rad();
     let contradicted = shown > student::chi_squared_half_percent(PLACEMENT_DOF) * declared;
     let placement_sd_rad = if contradicted { shown_rad } else { placement.sd_rad() };
-    let visits: f64 = sides.iter().map(|side| side.visits).sum();
-    let squares: f64 = sides.iter().map(Side::revisit_squares).sum();
-    let revisit_dof = visits - 6.0 + REVISIT_DOF;
+    let visits = placed.len();
+    let squares: f64 = Face::ALL.into_iter().map(|face| revisit_squares(&placed, face)).sum();
+    let revisit_dof = visits as f64 - 6.0 + REVISIT_DOF;
     let revisit = (squares + REVISIT_DOF * REVISIT_MPS2 * REVISIT_MPS2) / revisit_dof;
-    let covariance_with = |revisit: f64| covariance(&sides, &a, g, placement_sd_rad, revisit);
+    let covariance_with = |revisit: f64| covariance(&used, &a, g, placement_sd_rad, revisit);
     let mut covariance = covariance_with(revisit);
     let mut interval_dof = interval_dof(revisit_dof, &covariance, &covariance_with(0.0));
     if contradicted {
@@ -238,17 +170,17 @@ fn estimate<'a>(
         placement_sd_rad,
         declared_sd_rad: placement.sd_rad(),
         revisit_sd_mps2: libm::sqrt(revisit),
-        revisits: visits as usize - 6,
+        revisits: visits - 6,
     };
     Ok(Estimate {
         covariance,
-        poses: visits as usize,
+        poses: visits,
         orientations: 6,
-        dof: 3 * visits as usize - Parameter::COUNT,
+        dof: 3 * visits - Parameter::COUNT,
         interval_dof: Some(interval_dof),
         rejected,
         worst_sd_mps2,
-        temperature_c: mean_temperature(used.map(|(_, pose)| pose)),
+        temperature_c: mean_temperature(placed.iter().map(|(_, pose)| *pose)),
         ..Estimate::orthogonal(model, method, gravity, &residuals)
     })
 }
@@ -262,17 +194,25 @@ fn not_square(shown_rad: f64) -> Refusal {
     Refusal::new(Reason::Placement { index: 0, steps: 6 }, text)
 }
 
+/// Sum of squared deviations of the vertical axis from its mean over the visits of a side, (m/s²)².
+fn revisit_squares(placed: &[(Face, &Pose)], face: Face) -> f64 {
+    let visits = placed.iter().filter(|(other, _)| *other == face);
+    let upright = visits.map(|(_, pose)| pose.mean_mps2[face.axis()]);
+    let mean = upright.clone().sum::<f64>() / upright.clone().count() as f64;
+    upright.map(|y| (y - mean) * (y - mean)).sum()
+}
+
 /// Sum of the squared placement errors that the pairs of sides show, two degrees of freedom each, rad²: the mean of the two
 /// off-axis readings differs from the bias by the tilts.
-fn placement_squares(sides: &Sides, bias: &[f64; 3], a: &Matrix, gravity_mps2: f64) -> f64 {
+fn placement_squares(used: &[Used<'_>], bias: &[f64; 3], a: &Matrix, gravity_mps2: f64) -> f64 {
     let mut squares = 0.0;
     for axis in 0..3 {
-        let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
+        let pair = || used.iter().filter(|used| used.axis == axis);
         // Variance of the mean tilt of the pair, relative to that of one tilt.
-        let share = 0.25 * (up.share() + down.share());
+        let share: f64 = pair().map(|used| used.of_bias * used.of_bias).sum();
         for other in (0..3).filter(|&other| other != axis) {
-            let middle = 0.5 * (up.mean()[other] + down.mean()[other]);
-            let tilt = (middle - bias[other]) / (a[other][other] * gravity_mps2);
+            let off = pair().map(|used| used.of_bias * (used.pose.mean_mps2[other] - bias[other]));
+            let tilt = off.sum::<f64>() / (a[other][other] * gravity_mps2);
             squares += tilt * tilt / share;
         }
     }
@@ -291,37 +231,38 @@ fn interval_dof(dof: f64, all: &Covariance, known: &Covariance) -> f64 {
 }
 
 /// Covariance from the placement error, the noise, and `revisit`, the variance between repeated poses: equation (19).
-fn covariance(sides: &Sides, a: &Matrix, g: f64, placement_rad: f64, revisit: f64) -> Covariance {
+fn covariance(
+    used: &[Used<'_>],
+    a: &Matrix,
+    g: f64,
+    placement_rad: f64,
+    revisit: f64,
+) -> Covariance {
     let mut covariance = Covariance::ZERO;
     let tilt = placement_rad * placement_rad;
-    for axis in 0..3 {
-        // Covariance of two components of the mean output of a side. A tilt adds the other two
-        // columns of A in first order and shortens this one in second order.
-        let of = |side: &Side, r: usize, c: usize| {
+    for &Used { pose, axis, of_bias, of_column } in used {
+        // Covariance of two components of the output of a pose. A tilt adds the other two columns of A in first order and
+        // shortens this one in second order.
+        let of = |r: usize, c: usize| {
             let across = (0..3).filter(|&other| other != axis);
-            let first = across.fold(0.0, |sum, other| sum + a[r][other] * a[c][other]);
-            let second = tilt * a[r][axis] * a[c][axis];
-            let noise =
-                if r == c { side.noise_variance()[r] + revisit * side.share() } else { 0.0 };
-            tilt * (first + second) * g * g * side.share() + noise
+            let first = across.map(|other| a[r][other] * a[c][other]).sum::<f64>();
+            let noise = if r == c { pose.noise(r) + revisit } else { 0.0 };
+            tilt * (first + tilt * a[r][axis] * a[c][axis]) * g * g + noise
         };
-        let (up, down) = (&sides[2 * axis], &sides[2 * axis + 1]);
-        let both = |r, c| of(up, r, c) + of(down, r, c);
         let bias = Parameter::ALL[axis];
-        covariance.add(bias, bias, 0.25 * both(axis, axis));
+        let column = |row: usize| Parameter::ALL[3 + 3 * row + axis];
+        covariance.add(bias, bias, of_bias * of_bias * of(axis, axis));
         for r in 0..3 {
-            let row = Parameter::ALL[3 + 3 * r + axis];
-            let cross = 0.25 * (of(up, axis, r) - of(down, axis, r)) / g;
-            covariance.add(bias, row, cross);
-            covariance.add(row, bias, cross);
+            covariance.add(bias, column(r), of_bias * of_column * of(axis, r));
+            covariance.add(column(r), bias, of_bias * of_column * of(axis, r));
             for c in 0..3 {
-                let column = Parameter::ALL[3 + 3 * c + axis];
-                // Both sides are shortened: a systematic error that does not average out.
-                let shortened = tilt * tilt * a[r][axis] * a[c][axis];
-                let spread = 0.25 * both(r, c) / (g * g);
-                covariance.add(row, column, spread + shortened);
+                covariance.add(column(r), column(c), of_column * of_column * of(r, c));
             }
         }
+    }
+    for (axis, r, c) in (0..27).map(|k| (k / 9, k / 3 % 3, k % 3)) {
+        let [row, column] = [r, c].map(|i| Parameter::ALL[3 + 3 * i + axis]);
+        covariance.add(row, column, tilt * tilt * a[r][axis] * a[c][axis]);
     }
     covariance
 }

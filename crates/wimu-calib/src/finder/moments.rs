@@ -89,6 +89,22 @@ pub(super) struct Moments {
 }
 
 impl Moments {
+    /// Adds a sample, with the squared difference from the one before.
+    pub(super) fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
+        self.samples += 1;
+        let share = 1.0 / f64::from(self.samples);
+        for axis in 0..3 {
+            let off = output[axis] - self.mean[axis];
+            self.mean[axis] += off * share;
+            self.squares[axis] += off * (output[axis] - self.mean[axis]);
+        }
+        self.differences += difference;
+        if let Some(celsius) = celsius {
+            self.celsius += celsius;
+            self.celsius_samples += 1;
+        }
+    }
+
     pub(super) fn merge(&mut self, other: &Self) {
         if self.samples == 0 {
             *self = *other;
@@ -131,46 +147,5 @@ impl Moments {
             first_sample: self.first,
             time_s: (self.first as f64 + 0.5 * f64::from(self.samples)) / rate_hz,
         }
-    }
-}
-
-/// The block that is being filled: sums of deviations from its first sample, which need no
-/// division per sample and keep their digits when the mean is large.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Block {
-    origin: [f64; 3],
-    sum: [f64; 3],
-    /// The rest; its mean is not used, its squares are about the origin.
-    pub(super) rest: Moments,
-}
-
-impl Block {
-    /// With the squared difference from the sample before.
-    pub(super) fn add(&mut self, output: [f64; 3], difference: f64, celsius: Option<f64>) {
-        if self.rest.samples == 0 {
-            self.origin = output;
-        }
-        self.rest.differences += difference;
-        for axis in 0..3 {
-            let off = output[axis] - self.origin[axis];
-            self.sum[axis] += off;
-            self.rest.squares[axis] += off * off;
-        }
-        self.rest.samples += 1;
-        if let Some(celsius) = celsius {
-            self.rest.celsius += celsius;
-            self.rest.celsius_samples += 1;
-        }
-    }
-
-    pub(super) fn moments(&self) -> Moments {
-        let mut moments = self.rest;
-        for axis in 0..3 {
-            let (origin, sum) = (self.origin[axis], self.sum[axis]);
-            let mean = sum / f64::from(self.rest.samples);
-            moments.mean[axis] = origin + mean;
-            moments.squares[axis] = (moments.squares[axis] - sum * mean).max(0.0);
-        }
-        moments
     }
 }

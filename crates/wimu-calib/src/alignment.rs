@@ -3,11 +3,7 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use nalgebra::allocator::Allocator;
-use nalgebra::{
-    Const, DefaultAllocator, DimDiff, DimSub, Matrix3, Quaternion, SMatrix, SVector,
-    UnitQuaternion, Vector3,
-};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use wimu_model::{Alignment, RotationCovariance};
 
 use crate::{Reason, Refusal};
@@ -125,7 +121,7 @@ pub fn align(directions: &[KnownDirection]) -> Result<AlignmentEstimate, Refusal
 /// Refuses directions that are all along one line.
 fn check_spread(units: impl Iterator<Item = Vector3<f64>> + Clone) -> Result<(), Refusal> {
     // The principal axis of the directions is the eigenvector of the largest eigenvalue.
-    let line = main_axis(units.clone().map(|u| u * u.transpose()).sum::<Matrix3<f64>>());
+    let line = main_axis(units.clone().map(|u| u * u.transpose()).sum());
     let angle_rad = units.map(|u| from_line(&line, &u)).fold(0.0, f64::max);
     if angle_rad >= LEAST_ANGLE_RAD / 2.0 {
         return Ok(());
@@ -138,19 +134,15 @@ fn check_spread(units: impl Iterator<Item = Vector3<f64>> + Clone) -> Result<(),
     Err(Refusal::new(Reason::NotObservable, text))
 }
 
-/// The rotation nearest to an attitude profile matrix, by Davenport's matrix, shifted so that no eigenvalue is negative.
-fn rotation(b: Matrix3<f64>) -> UnitQuaternion<f64> {
-    let symmetric = b + b.transpose();
-    let z = [b[(2, 1)] - b[(1, 2)], b[(0, 2)] - b[(2, 0)], b[(1, 0)] - b[(0, 1)]];
-    let davenport = SMatrix::<f64, 4, 4>::from_fn(|r, c| match (r, c) {
-        (0, 0) => 2.0 + b.trace(),
-        (0, k) | (k, 0) => z[k - 1],
-        (r, c) if r == c => 2.0 + symmetric[(r - 1, c - 1)] - b.trace(),
-        (r, c) => symmetric[(r - 1, c - 1)],
-    });
-    let best = main_axis(davenport);
-    let best = if best[0] < 0.0 { -best } else { best };
-    UnitQuaternion::from_quaternion(Quaternion::new(best[0], best[1], best[2], best[3]))
+/// The rotation nearest to an attitude profile matrix: Wahba's problem by the singular value decomposition.
+fn rotation(profile: Matrix3<f64>) -> UnitQuaternion<f64> {
+    let svd = profile.svd(true, true);
+    let (u, v_t) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
+    // A product of determinant −1 is a reflection: the direction that shows least is turned.
+    let mut signs = Vector3::repeat(1.0);
+    signs[svd.singular_values.imin()] = (u * v_t).determinant().signum();
+    let turn = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t);
+    UnitQuaternion::from_rotation_matrix(&turn)
 }
 
 fn no_direction(index: usize) -> Refusal {
@@ -170,11 +162,7 @@ fn from_line(line: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
 }
 
 /// The eigenvector of the largest eigenvalue of a symmetric matrix.
-fn main_axis<const N: usize>(matrix: SMatrix<f64, N, N>) -> SVector<f64, N>
-where
-    Const<N>: DimSub<Const<1>>,
-    DefaultAllocator: Allocator<DimDiff<Const<N>, Const<1>>>,
-{
+fn main_axis(matrix: Matrix3<f64>) -> Vector3<f64> {
     let eigen = matrix.symmetric_eigen();
     eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
 }

@@ -6,7 +6,7 @@ use alloc::vec::Vec;
 
 use crate::Pose;
 use moments::Moments;
-pub use moments::Noise;
+use moments::Noise;
 
 /// Number of blocks in the shortest hold.
 const BLOCKS: usize = 8;
@@ -80,7 +80,7 @@ impl PoseFinder {
     }
 
     /// A finder with known noise.
-    pub fn with_noise(rate_hz: f64, noise: Noise) -> Self {
+    fn with_noise(rate_hz: f64, noise: Noise) -> Self {
         let samples = rate_hz * HOLD_S / BLOCKS as f64;
         Self {
             rate_hz: if rate_hz > 0.0 { rate_hz } else { 1.0 },
@@ -98,11 +98,6 @@ impl PoseFinder {
             candidate: None,
             away_blocks: 0,
         }
-    }
-
-    /// The noise at rest, as estimated so far.
-    pub fn noise(&self) -> Noise {
-        self.noise
     }
 
     /// Sets the temperature of the following samples, °C.
@@ -296,7 +291,7 @@ where
     for (output, _) in samples.clone() {
         finder.push(output);
     }
-    let mut finder = PoseFinder::with_noise(rate_hz, finder.noise());
+    let mut finder = PoseFinder::with_noise(rate_hz, finder.noise);
     let mut poses = Vec::new();
     for (output, celsius) in samples {
         finder.set_temperature(celsius);

@@ -146,19 +146,22 @@ fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {
 
 /// The axis with an extreme reading that is the same in several different poses.
 pub(crate) fn clipped_axis(poses: &[Pose]) -> Option<usize> {
-    (0..3).find(|&axis| {
-        ends(poses, axis).into_iter().any(|end| {
-            let mut first: Option<&Pose> = None;
-            let differing = poses.iter().filter(|pose| {
-                if pose.mean_mps2[axis] != end {
-                    return false;
-                }
-                let first = *first.get_or_insert(pose);
-                let apart = (0..3).map(|i| (pose.mean_mps2[i] - first.mean_mps2[i]).abs());
-                apart.fold(0.0, f64::max) >= TURNED_MPS2
-            });
-            differing.count() + 1 >= CLIPPED
-        })
+    let outputs = || poses.iter().map(|pose| pose.mean_mps2);
+    (0..3).find(|axis| is_clipped(outputs(), *axis, TURNED_MPS2, CLIPPED))
+}
+
+/// Whether an extreme reading of an axis is the same in `count` outputs that are `turned` apart on another axis.
+pub(crate) fn is_clipped(
+    outputs: impl Iterator<Item = [f64; 3]> + Clone,
+    axis: usize,
+    turned: f64,
+    count: usize,
+) -> bool {
+    extremes(outputs.clone().map(|y| y[axis])).into_iter().any(|end| {
+        let mut at = outputs.clone().filter(|y| y[axis] == end);
+        let Some(first) = at.next() else { return false };
+        let apart = |y: [f64; 3]| (0..3).map(|i| (y[i] - first[i]).abs()).fold(0.0, f64::max);
+        at.filter(|y| apart(*y) > turned).count() + 1 >= count
     })
 }
 

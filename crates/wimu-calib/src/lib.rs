@@ -46,7 +46,7 @@ pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use design::Guide;
 pub use estimate::{Deviations, Drift, Estimate, Method, TermDeviations};
-pub use finder::{Noise, PoseFinder, find_poses};
+pub use finder::{PoseFinder, find_poses};
 pub use gravity::Gravity;
 pub use gyroscope::{
     AccelerometerCalibration, GyroscopeEstimate, GyroscopeSession, SixAxisSample, TurnFault,

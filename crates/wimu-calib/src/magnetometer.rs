@@ -188,23 +188,23 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), R
         let cosine = 0.5 * ((turn.transpose() * -mirror).trace() - 1.0);
         cosine > libm::cos(PARALLEL_RAD)
     };
-    let one = |axis: usize| {
+    let negated = |axis: usize| {
         let mut mirror = Matrix3::identity();
         mirror[(axis, axis)] = -1.0;
-        mirror
+        near(&mirror)
     };
-    let exchanged = |a: usize, b: usize| {
+    let exchanged = |axis: &usize| {
         let mut mirror = Matrix3::identity();
-        mirror.swap_columns(a, b);
-        mirror
+        mirror.swap_columns(*axis, (axis + 1) % 3);
+        near(&mirror)
     };
-    let pairs = [(0, 1), (1, 2), (0, 2)];
     let axes = if near(&-Matrix3::identity()) {
         "all axes of the magnetometer are negated".into()
-    } else if let Some(axis) = (0..3).find(|axis| near(&one(*axis))) {
+    } else if let Some(axis) = (0..3).find(|axis| negated(*axis)) {
         format!("the magnetometer's axis {} is negated", name(axis))
-    } else if let Some((a, b)) = pairs.into_iter().find(|(a, b)| near(&exchanged(*a, *b))) {
-        format!("the magnetometer's axes {} and {} are exchanged", name(a), name(b))
+    } else if let Some(axis) = (0..3).find(exchanged) {
+        let (first, second) = (axis.min((axis + 1) % 3), axis.max((axis + 1) % 3));
+        format!("the magnetometer's axes {} and {} are exchanged", name(first), name(second))
     } else {
         String::from("an axis of the magnetometer is negated, or two are exchanged")
     };
@@ -244,29 +244,18 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), Refusal> {
         );
         return Err(Refusal::new(Reason::Axis { axis, clipped: false }, text));
     }
-    for (axis, limit) in (0..3).flat_map(|axis| limits[axis].map(|limit| (axis, limit))) {
-        let at = || poses.iter().filter(|pose| pose.output_nt[axis] == limit);
-        // An axis with little variation has few values.
-        if span[axis] < 0.3 * widest {
-            continue;
-        }
-        // Repeating an orientation is not clipping.
-        let elsewhere = |pose: &&MagneticPose| {
-            at().next().is_some_and(|first| {
-                (0..3).any(|other| {
-                    let apart = pose.output_nt[other] - first.output_nt[other];
-                    other != axis && apart.abs() > 0.1 * widest
-                })
-            })
-        };
-        if at().count() >= CLIPPED && at().filter(elsewhere).count() + 1 >= CLIPPED {
-            let text = format!(
-                "Axis {} of the magnetometer is saturated: {:.1} µT in several poses. Remove the magnet nearby.",
-                name(axis),
-                limit * 1e-3
-            );
-            return Err(Refusal::new(Reason::Axis { axis, clipped: true }, text));
-        }
+    // An axis with little variation has few values; repeating an orientation is not clipping.
+    let clipped = (0..3).find(|axis| {
+        let outputs = poses.iter().map(|pose| pose.output_nt);
+        span[*axis] >= 0.3 * widest && input::is_clipped(outputs, *axis, 0.1 * widest, CLIPPED)
+    });
+    if let Some(axis) = clipped {
+        let text = format!(
+            "Axis {} of the magnetometer is saturated: it has the same extreme reading in several poses. Remove the magnet \
+             nearby.",
+            name(axis)
+        );
+        return Err(Refusal::new(Reason::Axis { axis, clipped: true }, text));
     }
     Ok(())
 }

@@ -145,16 +145,10 @@ fn cluster(place: usize) -> f64 {
 /// use wimu_calib::AllanVariance;
 ///
 /// let mut allan = AllanVariance::new(100.0);
-/// # let mut state = 1_u64;
-/// # let mut noise = || {
-/// #     (0..12).map(|_| {
-/// #         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-/// #         (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-/// #     }).sum::<f64>()
-/// # };
-/// for _ in 0..20_000 {
-///     // White noise of 0.02 m/s² a sample: 0.002 m/s/√s at 100 Hz.
-///     allan.push([0.02 * noise(), 0.02 * noise(), 9.81 + 0.02 * noise()]);
+/// for k in 0..20_000_u64 {
+///     // Nearly white noise of 0.02 m/s² a sample: 0.002 m/s/√s at 100 Hz.
+///     let noise = |k: u64| 0.0693 * (((k * k * 7919 + k * 104_729) % 20_011) as f64 / 20_011.0 - 0.5);
+///     allan.push([noise(k), noise(k + 70_001), 9.81 + noise(k + 350_003)]);
 /// }
 /// let noise = allan.result()?;
 /// let walk = noise[0].velocity_random_walk;

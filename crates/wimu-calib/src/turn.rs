@@ -83,13 +83,11 @@ pub fn three_angle(
     turns(poses, 3, gravity, placement)
 }
 
-/// Bias and scale factor of one axis with their covariance, without the error of gravity.
+/// Bias, m/s², and scale factor of one axis with their covariance, without the error of gravity.
 #[derive(Clone, Copy)]
 struct Axis {
-    bias: f64,
-    scale: f64,
-    bias_variance: f64,
-    scale_variance: f64,
+    value: [f64; 2],
+    variance: [f64; 2],
     both: f64,
     /// χ² of the redundant readings.
     misfit: f64,
@@ -97,32 +95,26 @@ struct Axis {
 
 impl Axis {
     /// Weighted mean of two rotations. Their difference adds to `misfit`.
-    fn merge(self, other: Self) -> Self {
-        let apart = |a: f64, b: f64, variance: f64| {
-            if variance > 0.0 { (a - b) * (a - b) / variance } else { 0.0 }
-        };
+    fn merge(mut self, other: Self) -> Self {
+        self.misfit += other.misfit;
+        let mut weight = [0.5; 2];
         // The in-plane norm differs between planes by half the squared cross-axis components.
-        let across = CROSS_AXIS * CROSS_AXIS;
-        let of_scale = self.scale_variance + other.scale_variance + across * across;
-        let of_bias = self.bias_variance + other.bias_variance;
-        let differ =
-            apart(self.bias, other.bias, of_bias) + apart(self.scale, other.scale, of_scale);
-        let weight = |a: f64, b: f64| {
-            if a + b > 0.0 { b / (a + b) } else { 0.5 }
-        };
-        let b = weight(self.bias_variance, other.bias_variance);
-        let s = weight(self.scale_variance, other.scale_variance);
-        let rest = |w: f64| 1.0 - w;
-        let mix = |w: f64, x: f64, y: f64| w * x + rest(w) * y;
-        let square = |w: f64, x: f64, y: f64| w * w * x + rest(w) * rest(w) * y;
-        Self {
-            bias: mix(b, self.bias, other.bias),
-            scale: mix(s, self.scale, other.scale),
-            bias_variance: square(b, self.bias_variance, other.bias_variance),
-            scale_variance: square(s, self.scale_variance, other.scale_variance),
-            both: b * s * self.both + rest(b) * rest(s) * other.both,
-            misfit: self.misfit + other.misfit + differ,
+        for (i, across) in [0.0, CROSS_AXIS * CROSS_AXIS].into_iter().enumerate() {
+            let sum = self.variance[i] + other.variance[i];
+            let apart = other.value[i] - self.value[i];
+            if sum > 0.0 {
+                weight[i] = self.variance[i] / sum;
+            }
+            if sum + across > 0.0 {
+                self.misfit += apart * apart / (sum + across * across);
+            }
+            let (w, v) = (weight[i], 1.0 - weight[i]);
+            self.value[i] += w * apart;
+            self.variance[i] = v * v * self.variance[i] + w * w * other.variance[i];
         }
+        let [b, s] = weight;
+        self.both = (1.0 - b) * (1.0 - s) * self.both + b * s * other.both;
+        self
     }
 }
 
@@ -208,11 +200,12 @@ fn turns(
         };
         let (bias, scale) = (Parameter::BIAS[axis], Parameter::SCALE[axis]);
         fitted = fitted.with(bias).with(scale);
-        error_terms.bias_mps2[axis] = found.bias;
-        error_terms.matrix[axis][axis] = found.scale;
-        theta[3 + 4 * axis] = found.scale;
-        covariance.add(bias, bias, inflation * found.bias_variance);
-        covariance.add(scale, scale, inflation * found.scale_variance);
+        error_terms.bias_mps2[axis] = found.value[0];
+        error_terms.matrix[axis][axis] = found.value[1];
+        theta[3 + 4 * axis] = found.value[1];
+        for (k, parameter) in [bias, scale].into_iter().enumerate() {
+            covariance.add(parameter, parameter, inflation * found.variance[k]);
+        }
         covariance.add(bias, scale, inflation * found.both);
         covariance.add(scale, bias, inflation * found.both);
     }
@@ -368,10 +361,8 @@ impl<'a> Turn<'a> {
             scale_variance += 0.25 * lean * lean * lean * lean;
         }
         Axis {
-            bias: harmonic.mean,
-            scale,
-            bias_variance: sum / (n * n),
-            scale_variance,
+            value: [harmonic.mean, scale],
+            variance: [sum / (n * n), scale_variance],
             both: 2.0 / (n * n) * both / g,
             misfit,
         }
@@ -388,7 +379,7 @@ impl<'a> Turn<'a> {
         let reads = self.harmonic(self.still).mean;
         // Standard deviation of the reading if no rotation determines the bias.
         let either = libm::hypot(USUAL_BIAS_MPS2 / g, placement_sd_rad);
-        let known = axes[self.still].map(|known| known.bias);
+        let known = axes[self.still].map(|known| known.value[0]);
         let (most, doubtful) = match known {
             Some(_) => (MOST_STEP_ERROR, BEYOND_CHANCE * placement_sd_rad),
             None => (BEYOND_CHANCE * either, DOUBTFUL * either),
@@ -401,8 +392,8 @@ impl<'a> Turn<'a> {
             let across = off * (CROSS_AXIS * g);
             for axis in self.plane {
                 if let Some(found) = &mut axes[axis] {
-                    found.scale_variance += 0.25 * off * off * off * off;
-                    found.bias_variance += across * across;
+                    found.variance[1] += 0.25 * off * off * off * off;
+                    found.variance[0] += across * across;
                 }
             }
         }

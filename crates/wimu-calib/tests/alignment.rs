@@ -3,7 +3,6 @@
 use crate::common;
 
 use common::{Random, cross, norm, unit};
-use proptest::prelude::*;
 use wimu_calib::{KnownDirection, Reason, Refusal, align, straight_move};
 use wimu_model::Alignment;
 use wimu_testkit::{Coverage, coverage_figure, trials};
@@ -31,43 +30,6 @@ fn error(found: Alignment, truth: Alignment) -> [f64; 3] {
         }
     }
     sum
-}
-
-proptest! {
-    #![proptest_config(common::config())]
-
-    /// Independent computation: TRIAD, which is exact for exact directions.
-    #[test]
-    fn exact_directions_give_the_rotation_itself(seed: u64, more in 0_usize..4) {
-        let mut random = Random::new(seed);
-        let truth = rotation(&mut random);
-        let back = inverse(truth);
-        let mut bodies = vec![[0.0, 0.0, 1.0], unit([1.0, random.within(0.5), random.within(0.5)])];
-        bodies.extend((0..more).map(|_| random.direction()));
-        let known: Vec<_> = bodies
-            .iter()
-            .map(|&body| KnownDirection {
-                sensor: back.rotate(body).map(|c| 9.81 * c),
-                body,
-                sd_rad: 0.01,
-            })
-            .collect();
-        let found = align(&known).unwrap();
-        prop_assert!(norm(error(found.alignment, truth)) < 1e-9 && found.residual_rad < 1e-7);
-        let triad = |a: [f64; 3], b: [f64; 3]| {
-            let (x, z) = (unit(a), unit(cross(a, b)));
-            [x, cross(z, x), z]
-        };
-        let (of_body, of_sensor) = (triad(bodies[0], bodies[1]), triad(known[0].sensor, known[1].sensor));
-        let v = random.direction();
-        let turned = found.alignment.rotate(v);
-        for axis in 0..3 {
-            let expected: f64 = (0..3)
-                .map(|k| of_body[k][axis] * (0..3).map(|j| of_sensor[k][j] * v[j]).sum::<f64>())
-                .sum();
-            prop_assert!((turned[axis] - expected).abs() < 1e-9);
-        }
-    }
 }
 
 #[test]

@@ -201,46 +201,6 @@ fn wild() -> impl Strategy<Value = f64> {
 }
 
 #[test]
-fn a_stream_gives_what_the_recording_gives_once_the_noise_is_known() {
-    let mut random = Random::new(1);
-    let stream = stream(&mut random, 100.0, 0.02, 0.0, 12, 2.0);
-    let recorded = poses(&stream.samples, 100.0);
-    let mut first = PoseFinder::new(100.0);
-    let live = streamed(&mut first, &stream.samples);
-    // Live, the noise is not known yet at the first holds: their ends may differ by a block.
-    assert_eq!(live.len(), recorded.len());
-    for (a, b) in live.iter().zip(&recorded) {
-        assert!(norm([0, 1, 2].map(|i| a.mean_mps2[i] - b.mean_mps2[i])) < 0.005);
-    }
-    let mut second = PoseFinder::with_noise(100.0, first.noise());
-    assert_eq!(streamed(&mut second, &stream.samples), recorded);
-    assert!((0.01..0.02).contains(&first.noise().sd_mps2()));
-}
-
-#[test]
-fn a_hold_is_reported_while_it_lasts_and_comes_out_when_the_sensor_is_turned() {
-    let mut random = Random::new(2);
-    let rate = 100.0;
-    let stream = stream(&mut random, rate, 0.02, 0.0, 2, 2.0);
-    let mut finder = PoseFinder::new(rate);
-    let (first, last, _) = stream.holds[0];
-    let mut held_at = None;
-    let mut out_at = None;
-    for (k, y) in stream.samples.iter().enumerate() {
-        let pose = finder.push(*y);
-        if finder.held().is_some() && held_at.is_none() {
-            held_at = Some(k);
-        }
-        if pose.is_some() && out_at.is_none() {
-            out_at = Some(k);
-        }
-    }
-    let (held_at, out_at) = (held_at.expect("held"), out_at.expect("a pose"));
-    assert!((first + 60..first + 110).contains(&held_at), "{first} {held_at}");
-    assert!((last..last + 80).contains(&out_at), "{last} {out_at}");
-}
-
-#[test]
 fn a_knock_does_not_make_two_poses_of_one() {
     let mut random = Random::new(3);
     let mut stream = stream(&mut random, 100.0, 0.02, 0.0, 3, 5.0);

@@ -318,16 +318,3 @@ fn a_rest_that_moves_and_data_without_rests_are_refused() {
         Err(Refusal { reason: Reason::TooFew { .. }, .. })
     ));
 }
-
-#[test]
-fn an_axis_that_is_negated_is_named_from_turns_about_the_axes() {
-    let mut random = Random::new(5);
-    let axis = |k: usize| [0, 1, 2].map(|i| if i == k % 3 { 1.0 } else { 0.0 });
-    let turns: Vec<Rotation> = (1..RESTS).map(|k| (axis(k), -PI / 2.0, 160)).collect();
-    let mut simulated = Simulated::new(&mut random, &turns, 1.0);
-    for sample in &mut simulated.samples {
-        sample.rate_rad_s[1] *= -1.0;
-    }
-    let refused = simulated.estimate(&AccelerometerCalibration::uncalibrated());
-    assert!(matches!(refused, Err(Refusal { reason: Reason::Axes, .. })));
-}

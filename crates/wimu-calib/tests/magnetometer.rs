@@ -209,34 +209,6 @@ fn many_disturbed_poses_are_left_out_or_named_as_such() {
 }
 
 #[test]
-fn poses_beside_iron_are_named_as_far_as_they_show() {
-    let [mut all, mut silent, mut others] = [Coverage::default(); 3];
-    for seed in 0..trials(1000) as u64 {
-        let mut random = Random::new(seed);
-        let (_, hard, _, mut poses) = sensor(&mut random, 30, 150.0);
-        // An eighth of the field: along it that is length, across it dip or, in a few, hardly either.
-        poses[3].output_nt[0] += 6_000.0;
-        poses[17].output_nt[2] -= 6_000.0;
-        let found = magnetometer(&poses, None).expect("a model");
-        let named = found.rejected;
-        others.count(named.iter().any(|pose| ![3, 17].contains(pose)));
-        all.count([3, 17].iter().all(|pose| named.contains(pose)));
-        // One that stays in shows in the standard deviation, unless it alone is where it is.
-        let terms = found.model.terms();
-        silent.count((0..3).any(|axis| {
-            let off = f64::from(terms.hard_iron_nt[axis]) - hard[axis];
-            off.abs() > 5.0 * f64::from(terms.hard_iron_sd_nt[axis])
-        }));
-    }
-    coverage_figure("two of 30 poses beside iron are named", &[all], 0.8..=1.0);
-    coverage_figure("hard iron beyond 5 σ beside iron", &[silent], 0.0..=0.03);
-    coverage_figure("a pose without iron is left out beside two with", &[others], 0.0..=0.01);
-    others.assert_can_be(0.0..=0.01, "poses without iron");
-    all.assert_can_be(0.8..=1.0, "both named");
-    silent.assert_can_be(0.0..=0.03, "off by more than 5 standard deviations");
-}
-
-#[test]
 fn other_units_dead_and_clipped_axes_and_a_turn_about_one_axis_are_named() {
     let (.., poses) = sensor(&mut Random::new(9), 40, 100.0);
     let changed = |change: &dyn Fn(usize, &mut [f64; 3])| {

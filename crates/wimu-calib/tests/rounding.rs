@@ -8,7 +8,7 @@ use wimu_calib::{
     Face, Gravity, Parameter, Placement, Pose, find_poses, multi_position, six_position,
 };
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
-use wimu_testkit::{Coverage, coverage_figure, draws, figure};
+use wimu_testkit::{Coverage, coverage_figure, draws};
 
 const RATE_HZ: f64 = 100.0;
 /// 64 LSB/g.
@@ -29,48 +29,6 @@ fn held(random: &mut Random, model: &ErrorModel, ups: &[[f64; 3]], noise: f64) -
         }
     }
     find_poses(samples.iter().copied(), RATE_HZ)
-}
-
-/// How far the mean of a pose is from what the sensor would put out without noise or rounding.
-#[test]
-fn a_pose_says_what_rounding_leaves_in_its_mean() {
-    let mut random = Random::new(11);
-    let mut ratios = Vec::new();
-    for share_of_step in [0.002, 0.1, 0.2, 0.4, 1.0, 3.0] {
-        let (mut squares, mut count) = (0.0, 0.0);
-        for _ in 0..draws(60, 24) {
-            let model = random.model(true);
-            let ups: Vec<_> = (0..24).map(|_| random.direction()).collect();
-            let poses = held(&mut random, &model, &ups, share_of_step * STEP_MPS2);
-            for pose in &poses {
-                let up = ups[pose.first_sample as usize / 350];
-                let force = SpecificForceMps2(up.map(|c| c * STANDARD_GRAVITY_MPS2));
-                let truth = model.distort(force, None).0;
-                for axis in 0..3 {
-                    let n = f64::from(pose.samples);
-                    let (noise, rounding) = (pose.sd_mps2[axis], pose.rounding_sd_mps2[axis]);
-                    let variance = noise * noise / n + rounding * rounding;
-                    let off = pose.mean_mps2[axis] - truth[axis];
-                    squares += off * off / variance;
-                    count += 1.0;
-                }
-                if share_of_step >= 1.0 {
-                    assert_eq!(pose.rounding_sd_mps2, [0.0; 3], "it dithers");
-                }
-            }
-        }
-        let per_sd = f64::sqrt(squares / count);
-        println!("noise {share_of_step} of a step: errors are {per_sd:.2} of what is said");
-        assert!((0.5..1.25).contains(&per_sd), "{share_of_step}: {per_sd}");
-        ratios.push(per_sd);
-    }
-    ratios.sort_by(f64::total_cmp);
-    figure(
-        "errors of poses in coarse counts over the stated ones",
-        format!("{:.2} to {:.2}", ratios[0], ratios[5]),
-        "0.5 to 1.25",
-        ratios[0] >= 0.5 && ratios[5] <= 1.25,
-    );
 }
 
 #[test]

@@ -164,22 +164,6 @@ fn a_calibration_that_no_longer_holds_is_found_out_and_left_alone() {
 }
 
 #[test]
-fn warmth_makes_room_for_a_bias_that_moved() {
-    let gravity = Gravity::new(G, 0.0).expect("gravity");
-    let perfect = ErrorModel::default();
-    let known = [[0.0; 12]; 12];
-    let rest = |celsius: f64, extra: f64| Pose {
-        temperature_c: Some(celsius),
-        ..Pose::from_mean([0.0, 0.0, G + extra])
-    };
-    for (celsius, holds) in [(25.0, false), (50.0, true)] {
-        let mut check = SelfCheck::new(&perfect, &known, gravity, Ageing::default());
-        assert!(check.push(&rest(25.0, 0.0)).expect("a pose").holds);
-        assert_eq!(check.push(&rest(celsius, 0.1)).expect("a pose").holds, holds);
-    }
-}
-
-#[test]
 fn a_bias_whose_temperature_term_is_known_ages_by_what_that_term_may_be_off_only() {
     let gravity = Gravity::new(G, 0.0).expect("gravity");
     let mut random = Random::new(12);

@@ -161,10 +161,3 @@ fn sides_that_are_not_square_are_refused() {
         "{refused:?}"
     );
 }
-
-#[test]
-fn a_placement_error_that_makes_no_sense_is_refused() {
-    for bad in [-0.1, 0.2, f64::NAN, f64::INFINITY] {
-        assert!(Placement::new(bad).is_none());
-    }
-}

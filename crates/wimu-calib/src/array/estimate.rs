@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use wimu_model::geometry::Geometry;
 
-use super::fit::{Layout, PER_AXIS, Solved, axes_with, solve_all};
+use super::fit::{Layout, PER_AXIS, axes_with, solve_all};
 use super::motion::{Body, nominal};
 use super::moving::{Current, for_each, point};
 use super::size::SizeTest;
@@ -46,10 +46,11 @@ impl<const M: usize> Agreement<M> {
 /// Maximum-a-posteriori estimate of an array.
 #[derive(Clone, Debug)]
 pub struct ArrayEstimate<const M: usize> {
-    layout: Layout,
-    prior: ArrayPrior,
-    values: DVector<f64>,
-    covariance: DMatrix<f64>,
+    pub(super) layout: Layout,
+    pub(super) prior: ArrayPrior,
+    /// In their own units.
+    pub(super) values: DVector<f64>,
+    pub(super) covariance: DMatrix<f64>,
     /// Cost at the estimate: χ² of data and prior; residuals above their noise count with their logarithm.
     pub cost: f64,
     /// Variance of the gradient over that of white residuals, at least 1: residuals are correlated.
@@ -155,22 +156,10 @@ pub fn fit_array<const M: usize>(
         let text = "there is neither a rest nor a sample in motion: record both";
         return Err(Refusal::new(Reason::TooFew { have: 0, need: 1 }, text));
     }
-    let Solved { values, covariance, cost, inflation, log_determinant } =
-        solve_all(geometry, &usable, data, prior)?;
-    let agreement = agreement(geometry, &usable, data, &values);
-    Ok(ArrayEstimate {
-        layout: Layout::of(geometry),
-        prior: *prior,
-        values,
-        covariance,
-        cost,
-        inflation,
-        log_determinant,
-        agreement,
-    })
+    solve_all(geometry, &usable, data, prior)
 }
 
-fn agreement<const M: usize>(
+pub(super) fn agreement<const M: usize>(
     geometry: &Geometry<M>,
     usable: &dyn Fn(usize) -> bool,
     data: &ArrayData<'_, M>,

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 use wimu_model::geometry::Geometry;
 
+use super::estimate::{ArrayEstimate, agreement};
 use super::motion::{AxisNow, Body, nominal};
 use super::{ArrayData, ArrayPrior};
 use crate::least_squares::{self, Normal, Scaled, Settings};
@@ -185,17 +186,6 @@ pub(super) fn axes_with<const M: usize>(
     axes
 }
 
-/// Result of the fit; unknowns in their own units.
-pub(super) struct Solved {
-    pub values: DVector<f64>,
-    /// Posterior covariance.
-    pub covariance: DMatrix<f64>,
-    pub cost: f64,
-    pub inflation: f64,
-    /// ln |N|, N the normal matrix in units of the prior deviations.
-    pub log_determinant: f64,
-}
-
 /// The recording with its geometry and prior: sums at values of the unknowns, in units of their prior deviations.
 struct Problem<'a, const M: usize> {
     layout: Layout,
@@ -245,7 +235,7 @@ pub(super) fn solve_all<const M: usize>(
     usable: &dyn Fn(usize) -> bool,
     data: &ArrayData<'_, M>,
     prior: &ArrayPrior,
-) -> Result<Solved, Refusal> {
+) -> Result<ArrayEstimate<M>, Refusal> {
     let layout = Layout::of(geometry);
     let n = layout.unknowns();
     let mut moves = false;
@@ -283,8 +273,12 @@ pub(super) fn solve_all<const M: usize>(
     for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
         covariance[(i, j)] *= problem.scale[i] * problem.scale[j];
     }
-    Ok(Solved {
-        values: end.at.component_mul(&problem.scale),
+    let values = end.at.component_mul(&problem.scale);
+    Ok(ArrayEstimate {
+        layout,
+        prior: *prior,
+        agreement: agreement(geometry, usable, data, &values),
+        values,
         covariance,
         cost,
         inflation,

@@ -21,10 +21,10 @@ const MOST_NOISE: f64 = 0.3;
 
 /// Noise of a sensor at rest, estimated from its output.
 ///
-/// Scale of the stationarity detector of [`PoseFinder`](super::PoseFinder): the smallest values
+/// Scale of the stationarity detector of `PoseFinder`: the smallest values
 /// over windows as long as the shortest hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub(super) struct Noise {
     /// Smallest variance of a window, summed over the axes, (m/s²)².
     pub(super) variance: f64,
     /// Smallest variance of the block means of a window, summed over the axes, (m/s²)².
@@ -37,18 +37,12 @@ pub struct Noise {
 }
 
 impl Noise {
-    pub(crate) const NOTHING_SEEN: Self = Self {
+    pub(super) const NOTHING_SEEN: Self = Self {
         variance: f64::INFINITY,
         scatter: f64::INFINITY,
         new: f64::INFINITY,
         step: f64::INFINITY,
     };
-
-    /// Standard deviation of a sample at rest, m/s² rms over the axes. As the smallest value seen
-    /// it is up to a third low. Infinite before any window.
-    pub fn sd_mps2(&self) -> f64 {
-        libm::sqrt(self.variance / 3.0)
-    }
 
     /// Quantisation step of the output, m/s²; 0 if none was found.
     pub(super) fn step(&self) -> f64 {

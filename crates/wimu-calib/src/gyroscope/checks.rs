@@ -1,7 +1,6 @@
 //! Whether the outputs of gyroscope and accelerometer belong together.
 
 use alloc::format;
-use alloc::string::String;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -69,76 +68,63 @@ pub(super) fn plausible(session: &Session<'_>) -> Result<Start, Refusal> {
     Ok(Start { bias, sample_variance: mean(&|rest| rest.rate_variance) })
 }
 
+/// The k-th wrong unit, or order and signs of the axes: from output to angular rate.
+fn hypothesis(k: usize) -> Matrix3<f64> {
+    if let Some(factor) = FACTORS.get(k) {
+        return Matrix3::identity() / *factor;
+    }
+    let k = k - FACTORS.len() + 1;
+    let order = ORDERS[k / 8 % 6];
+    let sign = |axis: usize| if k >> axis & 1 == 1 { -1.0 } else { 1.0 };
+    Matrix3::from_fn(|row, column| if order[row] == column { sign(row) } else { 0.0 })
+}
+
 /// The unit or the order of the axes that predicts the directions, if only one does.
 fn explanation(session: &Session<'_>) -> Option<Refusal> {
-    let units = FACTORS.map(|factor| (Matrix3::identity() / factor, Explanation::Unit { factor }));
-    let axes = (1..48).map(|k| {
-        let order = ORDERS[k / 8 % 6];
-        let axes = [0, 1, 2].map(|axis| (order[axis], k >> axis & 1 == 1));
-        let matrix = Matrix3::from_fn(|row, column| {
-            let (of, negated) = axes[row];
-            let size = if negated { -1.0 } else { 1.0 };
-            if of == column { size } else { 0.0 }
-        });
-        (matrix, Explanation::Axes { axes })
-    });
-    let mut best = (f64::INFINITY, f64::INFINITY, None);
-    for (matrix, found) in units.into_iter().chain(axes) {
-        let rms = session.angles(matrix, true).rms_rad();
+    let (mut best, mut next) = ((f64::INFINITY, 0), f64::INFINITY);
+    for k in 0..FACTORS.len() + 47 {
+        let rms = session.angles(hypothesis(k), true).rms_rad();
         if rms < best.0 {
-            best = (rms, best.0, Some(found));
+            (best, next) = ((rms, k), best.0);
         } else {
-            best.1 = best.1.min(rms);
+            next = next.min(rms);
         }
     }
-    let (rms, next, found) = best;
-    let found = found.filter(|_| rms < PLAUSIBLE_RAD && rms < CLEARLY * next);
-    found.map(|found| found.refusal(rms))
-}
-
-/// What makes a session inconsistent.
-enum Explanation {
-    /// Output over angular rate.
-    Unit { factor: f64 },
-    /// For X, Y, Z of the accelerometer, the axis of the gyroscope that measures the rate about it, and whether it is
-    /// negated.
-    Axes { axes: [(usize, bool); 3] },
-}
-
-impl Explanation {
-    fn refusal(&self, rms_rad: f64) -> Refusal {
-        match *self {
-            Self::Unit { factor } => {
-                let text = match factor {
-                    50.0..65.0 => "The angular rates are 57.3 times too large, probably in deg/s. Name that unit \
-                                   (`--units deg/s`)."
-                        .into(),
-                    0.015..0.02 => "The angular rates are 57.3 times too small, probably in rad/s. Name that unit \
-                                    (`--units rad/s`)."
-                        .into(),
-                    _ => format!(
-                        "The angular rates are about {factor} times the rotation. Check the sensitivity and the \
-                         full-scale range of the gyroscope."
-                    ),
-                };
-                let reason = Reason::Unit { magnitude: rms_rad, hint: UnitHint::Sensitivity };
-                Refusal::new(reason, text)
-            }
-            Self::Axes { axes } => {
-                let mut names = String::new();
-                for (axis, (of, negated)) in axes.into_iter().enumerate() {
-                    let sign = if negated { "−" } else { "" };
-                    let comma = if axis < 2 { ", " } else { "" };
-                    names += &format!("{} = {sign}{}{comma}", axis_name(axis), axis_name(of));
-                }
-                let text = format!(
-                    "The axes of gyroscope and accelerometer differ: {names} of the gyroscope. Correct order and signs in \
-                     the driver or the columns."
-                );
-                Refusal::new(Reason::Axes, text)
-            }
-        }
+    let (rms, k) = best;
+    if rms >= PLAUSIBLE_RAD || rms >= CLEARLY * next {
+        return None;
     }
+    let Some(factor) = FACTORS.get(k) else {
+        return Some(other_axes(&hypothesis(k)));
+    };
+    let text = match *factor {
+        50.0..65.0 => "The angular rates are 57.3 times too large, probably in deg/s. Name that unit (`--units deg/s`)."
+            .into(),
+        0.015..0.02 => "The angular rates are 57.3 times too small, probably in rad/s. Name that unit (`--units rad/s`)."
+            .into(),
+        _ => format!(
+            "The angular rates are about {factor} times the rotation. Check the sensitivity and the full-scale range of the \
+             gyroscope."
+        ),
+    };
+    Some(Refusal::new(Reason::Unit { magnitude: rms, hint: UnitHint::Sensitivity }, text))
+}
+
+/// The refusal of axes that are exchanged or negated.
+fn other_axes(matrix: &Matrix3<f64>) -> Refusal {
+    let name = |axis: usize| {
+        let of = matrix.row(axis).transpose().iamax();
+        let sign = if matrix[(axis, of)] < 0.0 { "−" } else { "" };
+        format!("{} = {sign}{}", axis_name(axis), axis_name(of))
+    };
+    let text = format!(
+        "The axes of gyroscope and accelerometer differ: {}, {}, {} of the gyroscope. Correct order and signs in the driver \
+         or the columns.",
+        name(0),
+        name(1),
+        name(2)
+    );
+    Refusal::new(Reason::Axes, text)
 }
 
 /// The refusal of directions that are not predicted.

@@ -1,6 +1,6 @@
 //! Integration of the angular rate from one rest to the next, with sensitivities.
 
-use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::rests::Rates;
 use super::{SixAxisSample, TurnFault};
@@ -76,18 +76,9 @@ impl Turn {
             self.force[axis] += middle * (force[axis] * dt);
         }
         self.time += middle * dt;
-        self.attitude *= exponential(vector);
+        self.attitude *= Rotation3::new(vector).into_inner();
         self.length_s += dt;
         self.angle_rad += rate.norm() * dt;
         self.steps += 1;
     }
-}
-
-fn exponential(vector: Vector3<f64>) -> Matrix3<f64> {
-    let angle = vector.norm();
-    if angle < 1e-12 {
-        return Matrix3::identity() + vector.cross_matrix();
-    }
-    let axis = Unit::new_unchecked(vector / angle);
-    Rotation3::from_axis_angle(&axis, angle).into_inner()
 }

@@ -50,7 +50,7 @@ pub(crate) struct Settings {
 }
 
 /// A converged fit.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Fit<P> {
     pub at: P,
     /// (JᵀWJ)⁻¹: the covariance for residuals of unit variance.

@@ -112,7 +112,7 @@ impl Refusal {
     }
 
     /// An axis with the same extreme reading in several poses.
-    pub fn saturated(axis: usize) -> Self {
+    pub(crate) fn saturated(axis: usize) -> Self {
         let text = format!(
             "Axis {} is saturated: it has the same extreme reading in several poses. Choose a larger range and repeat the \
              poses.",

@@ -1,9 +1,10 @@
-//! Verification and recursive update of a stored calibration: equation (48).
+//! Verification of a stored calibration, and its update as the prior of the same fit: equation (48).
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{DMatrix, DVector};
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
 use crate::force;
+use crate::least_squares::Fit;
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose};
 
@@ -63,12 +64,11 @@ const MOST_DEVIATIONS: f64 = 3.2905;
 /// assert!(check.model()?.terms().bias_mps2[2] > 0.0);
 /// # Ok::<(), wimu_model::ModelError>(())
 /// ```
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct SelfCheck {
     stored: ErrorModel,
-    theta: Theta,
     /// Without the uncertainty of gravity.
-    covariance: SMatrix<f64, 12, 12>,
+    fit: Fit<Theta>,
     gravity: Gravity,
     ageing: Ageing,
     /// Standard deviation of the bias per kelvin, m/s², within the calibrated temperatures, °C, and those.
@@ -99,8 +99,11 @@ impl SelfCheck {
         }
         Self {
             stored: *stored,
-            theta,
-            covariance: (*covariance.matrix()).into(),
+            fit: Fit {
+                at: theta,
+                inverse: DMatrix::from_fn(12, 12, |r, c| covariance.matrix()[r][c]),
+                cost: 0.0,
+            },
             gravity,
             ageing,
             slope_sd: [ageing.per_kelvin_mps2; 3],
@@ -140,7 +143,7 @@ impl SelfCheck {
             output[axis] -= terms.bias_mps2_per_k2[axis] * warmer * warmer;
         }
         let g = self.gravity.mps2();
-        let (force, row) = force::magnitude(&self.theta, output, warmer)
+        let (force, row) = force::magnitude(&self.fit.at, output, warmer)
             .filter(|(force, _)| (0.5 * g..1.5 * g).contains(force))?;
 
         if let Some(now) = celsius {
@@ -148,24 +151,21 @@ impl SelfCheck {
             for axis in 0..3 {
                 let moved = |to: f64| self.thermal_sd(axis, to) - self.thermal_sd(axis, from);
                 let more = moved(now) * moved(now) - moved(before) * moved(before);
-                self.covariance[(axis, axis)] += more.max(0.0);
+                self.fit.inverse[(axis, axis)] += more.max(0.0);
             }
             self.temperatures_c = Some([from, now]);
         }
 
         let residual_mps2 = force - g;
-        let row = SVector::from(row);
-        let along = self.covariance * row;
+        let row = DVector::from_row_slice(&row);
         let apart = self.ageing.pose_mps2 * self.ageing.pose_mps2 + pose.mean_noise();
-        let variance = row.dot(&along) + apart;
+        let variance = self.fit.variance(&row) + apart;
         let expected_sd_mps2 = libm::sqrt(variance);
         let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected_sd_mps2;
         self.poses = self.poses.saturating_add(1);
-        if holds && variance > 0.0 {
-            for (theta, along) in self.theta.iter_mut().zip(&along) {
-                *theta -= along / variance * residual_mps2;
-            }
-            self.covariance.ger(-1.0 / variance, &along, &along, 1.0);
+        if holds && apart > 0.0 {
+            let step = self.fit.change(&row, residual_mps2, 1.0 / apart);
+            self.fit.at.iter_mut().zip(&step).for_each(|(theta, step)| *theta += step);
         } else {
             self.contradictions = self.contradictions.saturating_add(1);
         }
@@ -195,15 +195,17 @@ impl SelfCheck {
     /// [`ModelError`] when a parameter is outside the bounds of an accelerometer.
     pub fn model(&self) -> Result<ErrorModel, ModelError> {
         let mut updated = *self.stored.terms();
-        updated.bias_mps2 = terms::bias(&self.theta);
-        updated.matrix = terms::matrix(&self.theta);
+        updated.bias_mps2 = terms::bias(&self.fit.at);
+        updated.matrix = terms::matrix(&self.fit.at);
         ErrorModel::new(updated)
     }
 
     /// Covariance of the 12 parameters, including the uncertainty of gravity.
     pub fn covariance(&self) -> Covariance {
-        let mut covariance = Covariance::from_matrix(&self.covariance.into());
-        covariance.add_gravity(&self.theta, self.gravity);
+        let element = |r, c| self.fit.inverse[(r, c)];
+        let matrix = core::array::from_fn(|r| core::array::from_fn(|c| element(r, c)));
+        let mut covariance = Covariance::from_matrix(&matrix);
+        covariance.add_gravity(&self.fit.at, self.gravity);
         covariance
     }
 }

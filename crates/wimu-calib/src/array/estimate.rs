@@ -47,7 +47,6 @@ impl<const M: usize> Agreement<M> {
 #[derive(Clone, Debug)]
 pub struct ArrayEstimate<const M: usize> {
     pub(super) layout: Layout,
-    pub(super) prior: ArrayPrior,
     /// In their own units.
     pub(super) values: DVector<f64>,
     pub(super) covariance: DMatrix<f64>,
@@ -85,15 +84,6 @@ impl<const M: usize> ArrayEstimate<M> {
     /// Delay of a sensor and its standard deviation, s.
     pub fn delay_s(&self, sensor: usize) -> (f64, f64) {
         self.with_sd(self.layout.delay(sensor))
-    }
-
-    /// Largest departure of an unknown of a sensor from its prior, in prior standard deviations.
-    pub fn departure(&self, sensor: usize) -> f64 {
-        let group = self.layout.group;
-        let axes = PER_AXIS * group * sensor..PER_AXIS * group * (sensor + 1);
-        let all = axes.chain([self.layout.delay(sensor)]);
-        all.map(|i| libm::fabs(self.with_sd(i).0) / self.layout.prior(i, &self.prior))
-            .fold(0.0, f64::max)
     }
 
     /// Standard deviation of the differences of a kind of unknown between the axes, root mean square: without what all

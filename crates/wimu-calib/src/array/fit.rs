@@ -276,7 +276,6 @@ pub(super) fn solve_all<const M: usize>(
     let values = end.at.component_mul(&problem.scale);
     Ok(ArrayEstimate {
         layout,
-        prior: *prior,
         agreement: agreement(geometry, usable, data, &values),
         values,
         covariance,

@@ -101,7 +101,10 @@ impl<'a> Regression<'a> {
     /// already fitted, has a variance of at least `least`.
     pub fn with_motion(samples: &'a [Pair], axis: usize, least: f64, parallel: bool) -> Self {
         let mut fitting = Self::new(samples, axis, [0, 1, 2].map(|other| other == axis));
-        while !parallel {
+        if parallel {
+            return fitting;
+        }
+        loop {
             let others = (0..3).filter(|other| !fitting.with[*other]);
             let alone = others.map(|other| (fitting.apart_from(other), other));
             match alone.max_by(|a, b| a.0.total_cmp(&b.0)) {

@@ -39,6 +39,8 @@ pub struct Estimate {
     /// [`Estimate::half_width_95`]; `None` if they follow from a declared placement error instead
     /// of residuals.
     pub interval_dof: Option<f64>,
+    /// Fraction of the variance of each parameter that is the priors' uncertainty, which no residual measures.
+    pub(crate) prior_shares: [f64; Parameter::COUNT],
     /// Residual |f| − g over all given poses, including rejected ones, m/s² rms, unweighted.
     pub rms_mps2: f64,
     /// The same over the fitted poses only.
@@ -94,6 +96,7 @@ impl Estimate {
             orientations: 0,
             dof: 0,
             interval_dof: None,
+            prior_shares: [0.0; Parameter::COUNT],
             rms_mps2: residuals.rms_mps2(),
             fitted_rms_mps2: residuals.rms_mps2(),
             max_mps2: residuals.largest_mps2,
@@ -133,24 +136,19 @@ impl Estimate {
     }
 
     /// Half width of the 95 % confidence interval of a parameter, in its unit: Student's t with
-    /// [`Estimate::interval_dof`], and more degrees of freedom for the contribution of gravity.
-    /// Equation (43).
+    /// [`Estimate::interval_dof`] for what the residuals measure, the normal distribution for the contributions of gravity
+    /// and of priors. Equation (43).
     pub fn half_width_95(&self, parameter: Parameter) -> f64 {
-        let quantile = student::two_sided(0.05, self.dof_of(parameter));
-        quantile * self.covariance.sd(parameter)
-    }
-
-    /// Degrees of freedom of the standard deviation of a parameter; infinite if residuals do not
-    /// contribute.
-    fn dof_of(&self, parameter: Parameter) -> f64 {
-        let Some(dof) = self.interval_dof else {
-            return f64::INFINITY;
-        };
         let variance = self.covariance.get(parameter, parameter);
         let theta = terms::theta_of(&self.model);
         let of_gravity = self.covariance.of_gravity(&theta, self.gravity, parameter);
-        let share = (variance - of_gravity) / variance;
-        if share > 0.0 { dof / (share * share) } else { f64::INFINITY }
+        let share = 1.0 - self.prior_shares[parameter.index()];
+        let dof = self.interval_dof.unwrap_or(f64::INFINITY);
+        let measured = if dof.is_finite() { (variance - of_gravity) * share } else { 0.0 };
+        let quantile = |dof: f64| student::two_sided(0.05, dof);
+        let (t, z) = (quantile(dof), quantile(f64::INFINITY));
+        let squares = measured * t * t + (variance - measured) * z * z;
+        libm::sqrt(squares)
     }
 
     /// Residual |f| − g of `pose`, m/s², at its time and temperature as far as the model depends on

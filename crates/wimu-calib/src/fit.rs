@@ -13,8 +13,8 @@ use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::visits::Visits;
 use crate::weights::Weighting;
 use crate::{
-    Covariance, Estimate, Gravity, Method, MultiPosition, Parameters, Pose, Reason, Refusal,
-    ellipsoid, input, outliers, pose,
+    Covariance, Estimate, Gravity, Method, MultiPosition, Parameter, Parameters, Pose, Reason,
+    Refusal, ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -251,6 +251,12 @@ impl Found<'_> {
             let prior = problem.prior_sd[*i];
             prior.is_some_and(|prior| sd_of(*i) > ASSUMED * prior)
         };
+        let mut prior_shares = [0.0; Parameter::COUNT];
+        for (slot, share) in free.iter().zip(problem.prior_shares(fit)) {
+            if let Some(parameter) = slot.parameter() {
+                prior_shares[parameter.index()] = share;
+            }
+        }
         let assumed = (0..free.len()).filter(is_assumed).filter_map(|i| free[i].parameter());
         Ok(Estimate {
             model,
@@ -265,6 +271,7 @@ impl Found<'_> {
             orientations: problem.groups().len(),
             dof: (problem.count() as f64 - problem.determined(fit)).max(0.0) as usize,
             interval_dof: Some(shared.dof),
+            prior_shares,
             rms_mps2: all.rms_mps2(),
             fitted_rms_mps2: rms_mps2,
             max_mps2: all.largest_mps2,

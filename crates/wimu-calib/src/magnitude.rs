@@ -171,6 +171,15 @@ impl<'a> Magnitude<'a> {
         self.free.len() as f64 - self.priors().map(share).sum::<f64>()
     }
 
+    /// Of the variance of each fitted parameter, the fraction that the priors' uncertainty is: P Λ P of P = (JᵀWJ + Λ)⁻¹.
+    pub fn prior_shares(&self, fit: &Fit) -> Vec<f64> {
+        let of_priors = |i: usize| {
+            let pulls = self.priors().map(|(j, root)| root * fit.inverse[(i, j)]);
+            pulls.map(|pull| pull * pull).sum::<f64>() / fit.inverse[(i, i)]
+        };
+        (0..self.free.len()).map(of_priors).collect()
+    }
+
     /// Σ w r² of the fitted poses but `without`.
     pub fn cost(&self, fit: &Fit, without: Option<usize>) -> f64 {
         if !self.has_priors() {
@@ -324,7 +333,10 @@ impl<'a> Magnitude<'a> {
 
     /// Number of independent observations among the fitted poses, and whether orientations are repeated.
     pub fn independent(&self) -> (usize, bool) {
-        let apart = crate::visits::apart(self.count(), self.groups().len());
+        let mut seen = alloc::vec![false; self.visits.orientations()];
+        self.kept().for_each(|k| seen[self.visits.group(k)] = true);
+        let orientations = seen.into_iter().filter(|seen| *seen).count();
+        let apart = crate::visits::apart(self.count(), orientations);
         (apart, apart < self.count())
     }
 
@@ -459,7 +471,7 @@ impl<'a> Magnitude<'a> {
         for orientation in Orientation::ALL {
             let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
             let row = self.fitted(&at.derivatives(&at.at(force)));
-            let variance = row.dot(&(inverse * &row));
+            let variance = least_squares::quadratic(inverse, &row);
             // Opposite orientations are equal to rounding where the bias is determined alone.
             if variance > worst * (1.0 + 1e-12) {
                 (worst, poorest) = (variance, orientation);

@@ -144,7 +144,10 @@ fn intervals_of_multi_position_cover_the_truth() {
             if what.priors {
                 sensor.drift = sensor.random.normals(0.02);
             }
-            let poses = sensor.session();
+            let mut poses = sensor.session();
+            if what.priors {
+                poses.iter_mut().for_each(|pose| jitter(&mut sensor.random, pose, 0.003));
+            }
             let estimate = multi_position(&poses, exact(), what).expect("an answer");
             let about = about(&sensor.model, estimate.model.terms().temperature.reference_c);
             count(&mut coverage, &estimate, &about);

@@ -8,6 +8,7 @@ mod button;
 mod calibration_input;
 mod cli;
 mod coarse_and_fine;
+mod cold_starts;
 mod comparisons;
 #[cfg(target_os = "linux")]
 mod compat;

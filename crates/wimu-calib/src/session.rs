@@ -121,6 +121,15 @@ impl<const POSES: usize> Session<POSES> {
         Phase::Captured { pose: self.take(hold) }
     }
 
+    /// Captures the current hold before it is long enough; returns its index. `None` if the sensor
+    /// moves, the hold is already captured, or there are enough.
+    pub fn capture(&mut self) -> Option<usize> {
+        let hold = self.finder.held()?;
+        let is_new =
+            !self.taken && !self.ignored && !self.is_again(&hold) && self.poses.len() < self.wanted;
+        is_new.then(|| self.take(hold))
+    }
+
     /// Removes the latest pose and returns it. If the sensor still rests, that hold is not captured again.
     pub fn undo(&mut self) -> Option<Pose> {
         let removed = self.poses.pop()?;
@@ -128,6 +137,11 @@ impl<const POSES: usize> Session<POSES> {
         self.taken = false;
         self.ignored = self.finder.held().is_some();
         Some(removed)
+    }
+
+    /// Whether the sensor still rests as in a pose that was removed.
+    pub fn ignores_hold(&self) -> bool {
+        self.ignored
     }
 
     /// The current hold; `None` in motion.

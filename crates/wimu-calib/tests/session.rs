@@ -127,23 +127,54 @@ fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
     hand.turn(&mut session, advised.up(), 50, 300);
     assert_eq!(session.poses().len(), before + 1);
     assert!(session.guide().sd(Parameter::BiasX) < spread);
-    assert!(session.undo().is_some());
+    assert!(session.undo().is_some() && session.ignores_hold());
     assert_eq!(session.next(), Some(advised));
-    // Held on, it is not captured again; the poses before stay as they are.
+    // Held on, it is not captured again, by itself or by hand; the poses before stay as they are.
     let kept = session.poses()[before - 1];
     for _ in 0..300 {
         let noise = 0.01 * hand.random.normal();
         session.push(hand.up.map(|axis| G * axis + noise));
     }
-    assert_eq!(session.poses().len(), before);
+    assert_eq!((session.poses().len(), session.capture()), (before, None));
     assert_eq!(session.poses()[before - 1], kept);
     // After a motion it is.
     hand.turn(&mut session, [1.0, 0.0, 0.0], 50, 300);
     hand.turn(&mut session, advised.up(), 50, 300);
     assert_eq!(session.poses().len(), before + 2);
+    assert!(!session.ignores_hold());
     // More poses than were wanted at first.
     session.want(before + 2);
     assert_eq!(session.next(), None);
     session.want(16);
     assert!(session.next().is_some());
+}
+
+#[test]
+fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() {
+    let mut session = Session::<8>::new(100.0, 4);
+    assert_eq!(session.capture(), None, "nothing is held yet");
+    let mut noise = 0.01;
+    let mut hold = |session: &mut Session<8>, up: [f64; 3], samples: u32| {
+        let mut last = Phase::WaitingForRest;
+        for k in 0..50 + samples {
+            noise = -noise;
+            let wild = if k < 50 { f64::from(k % 7) } else { 0.0 };
+            last = session.push(up.map(|axis| 9.80665 * axis + wild + noise));
+        }
+        last
+    };
+    let phase = hold(&mut session, [0.0, 0.0, 1.0], 100);
+    assert!(matches!(phase, Phase::Collecting { .. }), "{phase:?}");
+    assert_eq!(session.capture(), Some(0));
+    assert_eq!(session.capture(), None, "it is taken");
+    // It goes on to become better, and is not taken again by itself.
+    let taken = session.poses()[0].samples;
+    assert_eq!(hold(&mut session, [0.0, 0.0, 1.0], 0), Phase::WaitingForRest);
+    assert_eq!(session.capture(), None, "it moves");
+    let phase = hold(&mut session, [0.0, 0.0, 1.0], 300);
+    assert_eq!(phase, Phase::WaitingForMotion);
+    assert_eq!(session.capture(), None, "the same again");
+    assert_eq!((session.poses().len(), session.poses()[0].samples), (1, taken));
+    hold(&mut session, [1.0, 0.0, 0.0], 100);
+    assert_eq!(session.capture(), Some(1));
 }

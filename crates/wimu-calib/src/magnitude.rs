@@ -312,13 +312,16 @@ impl<'a> Magnitude<'a> {
         };
         let settings = self.settings(None);
         let mut left: Vec<f64> = rows.residual.iter().copied().take(self.poses.len()).collect();
-        let groups: Vec<Vec<usize>> =
-            if each { self.kept().map(|k| alloc::vec![k]).collect() } else { self.groups() };
-        for group in groups {
-            let found = fit.left_out(self, &rows, &weights, &group, settings);
-            for (i, k) in group.into_iter().enumerate() {
-                left[k] = found.as_ref().map_or(f64::INFINITY, |found| found[i]);
+        let mut leave_out = |group: &[usize]| {
+            let found = fit.left_out(self, &rows, &weights, group, settings);
+            for (i, k) in group.iter().enumerate() {
+                left[*k] = found.as_ref().map_or(f64::INFINITY, |found| found[i]);
             }
+        };
+        if each {
+            self.kept().for_each(|k| leave_out(&[k]));
+        } else {
+            self.groups().iter().for_each(|group| leave_out(group));
         }
         left
     }

@@ -346,25 +346,6 @@ fn bad_input_is_said_and_survived() {
 }
 
 #[test]
-fn no_sample_makes_it_panic_or_forget_its_numbers() {
-    let mut random = Random::new(17);
-    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
-    for k in 0..3000 {
-        let size = [1.0, 100.0, 1e20, f64::NAN][(random.uniform() * 4.0) as usize % 4];
-        let kind = random.uniform();
-        let y: [f64; 24] = std::array::from_fn(|i| {
-            let value = if i % 3 == 2 { G } else { 0.0 };
-            if kind < 0.7 { value + random.normal() } else { random.normal() * size }
-        });
-        let step = if random.uniform() < 0.05 { random.normal() } else { DT };
-        let _ = filter.push(step, &y);
-        let state = filter.state();
-        let numbers = state.rate_rad_s.iter().chain(&state.position_m);
-        assert!(numbers.chain(&state.quaternion).all(|v| v.is_finite()), "sample {k}: {state:?}");
-    }
-}
-
-#[test]
 fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
     let mut random = Random::new(21);
     let settings = ArrayConfig { rests: Rests::ConstantVelocity, ..config(true) };

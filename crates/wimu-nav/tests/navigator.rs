@@ -143,25 +143,6 @@ fn less_known_of_rests_is_a_larger_deviation() {
 }
 
 #[test]
-fn a_bound_keeps_the_position_within_it() {
-    let (mut random, errors) = drawn(35);
-    let travel = Travel::oscillation(&mut random, [3.0, 60.0], 0.1, 0.3);
-    let run = |within_m| {
-        let mut how = Navigated { until_s: 50.0, ..Navigated::default() };
-        how.settings.within_m = within_m;
-        navigate(&travel, &errors, how, 35)
-    };
-    let (free, bound) = (run(None), run(Some(0.5)));
-    println!("free {}, bound {}", last(&free).row(), last(&bound).row());
-    assert!(last(&free).position_sd() > 3.0);
-    for point in bound.iter().step_by(100) {
-        // Three components, 0.5 m each, grown over a second.
-        assert!(point.position_sd() < 1.3, "{}", point.row());
-        assert!(point.position_error.norm() < 2.0, "{}", point.row());
-    }
-}
-
-#[test]
 fn a_stance_of_a_foot_is_certain() {
     // Strides of 1.2 m in 0.6 s with stances of 0.6 s.
     let travel = (0..15).fold(Travel::rest(), |travel, k| {
@@ -308,18 +289,6 @@ fn a_gap_widens_the_deviation_and_the_next_rest_finds_the_velocity() {
 }
 
 #[test]
-fn a_long_step_is_a_gap() {
-    let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let mut stepped = Navigator::new(Settings::default(), &start);
-    let mut interrupted = stepped.clone();
-    let long = Sample { step_s: 0.5, ..still(0.0) };
-    stepped.push(&long, true).unwrap();
-    interrupted.interrupt(0.5);
-    assert_eq!(stepped.solution(), interrupted.solution());
-    assert!(deviation(&stepped.solution().position_covariance) > 1.0);
-}
-
-#[test]
 fn a_gap_without_a_gyroscope_includes_the_samples_of_an_unfinished_step() {
     let start = Start::align(&[still(0.0); 10], true).unwrap();
     let new = || Navigator::new(without_gyroscope(), &start);
@@ -329,24 +298,6 @@ fn a_gap_without_a_gyroscope_includes_the_samples_of_an_unfinished_step() {
     unfinished.interrupt(0.5);
     whole.interrupt(0.508);
     assert_eq!(unfinished.solution(), whole.solution());
-}
-
-#[test]
-fn an_ignored_rest_is_any_motion_of_a_hand() {
-    let start = Start::align(&[still(0.0); 10], true).unwrap();
-    let mut settings = Settings::default();
-    settings.rests = Rests::Ignored;
-    let [found, expected] = [true, false].map(|at_rest| {
-        let mut navigator = Navigator::new(settings, &start);
-        for _ in 0..2000 {
-            navigator.push(&still(0.01), at_rest).unwrap();
-        }
-        navigator.solution()
-    });
-    assert_eq!(found, expected);
-    // Less than the 2 m/s of each component.
-    let sd = deviation(&found.velocity_covariance);
-    assert!((0.1..3.5).contains(&sd), "{sd}");
 }
 
 #[test]

@@ -82,25 +82,6 @@ fn motion_is_found_and_rest_is_too() {
 }
 
 #[test]
-fn a_slow_horizontal_acceleration_without_rotation_looks_like_a_rest() {
-    // 0.4 m/s² at most: a quarter of a second of it changes less than the noise that a rest may have. The velocity of
-    // the filter excludes such a rest.
-    let slow = Travel::rest().leg(3.0, 1.5, [0.15, 0.0, 0.0], [0.0; 3]);
-    let found = decisions(&slow, 100.0, 8.0, 1);
-    assert_eq!(rests(&found, 0.3, 8.0), 1.0);
-}
-
-#[test]
-fn constant_velocity_looks_like_a_rest() {
-    let mut moving = Travel::rest();
-    moving.drift_mps = Vector3::new(2.0, 0.0, 0.5);
-    let rest = decisions(&Travel::rest(), 100.0, 5.0, 2);
-    let cruise = decisions(&moving, 100.0, 5.0, 2);
-    assert_eq!(rest, cruise);
-    assert!(rest[100].1);
-}
-
-#[test]
 fn a_bias_beyond_the_mean_s_deviation_hides_every_rest() {
     let still = Vector3::new(0.0, 0.0, GRAVITY_MPS2);
     let found = |offset_mps2: f64, bias_rad_s: f64| {

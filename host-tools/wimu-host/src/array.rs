@@ -1,6 +1,5 @@
-//! Several accelerometers on one body: where they are, their calibration from the rests in a
-//! recording or as it is stored, what the recording says about their places and delays, and the body's
-//! motion.
+//! Several accelerometers on one body: where they are, their calibration from the rests in a recording or as it is stored,
+//! and the body's motion.
 
 mod calibration;
 mod fit;
@@ -13,7 +12,7 @@ mod samples;
 mod stored;
 
 pub use calibration::{ArrayCalibration, SensorFit};
-pub use fit::{Agreement, RefineOptions, Refinement};
+pub use fit::Agreement;
 pub use geometry::{ArrayGeometry, ArraySensor};
 pub use motion::ArrayBody;
 pub use rests::EvenTurn;

@@ -6,7 +6,6 @@ mod apply;
 mod array_coverage;
 mod array_input;
 mod array_journeys;
-mod array_survey;
 mod bags;
 #[cfg(feature = "ble")]
 mod ble;

@@ -1,9 +1,9 @@
 //! What is claimed of arrays that are given something wrong: constant rotations, sensors that fail on the way,
 //! limits nobody declared, geometries of another array, starts in motion.
 
-use crate::common;
+use crate::array_journeys;
 
-use common::{Random, cross, push, push_truth};
+use array_journeys::{Case, Part, Places};
 use wimu_calib::Gravity;
 use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry};
 use wimu_host::inertial::{Choice, InertialPath, Zupt, navigate_array};
@@ -13,119 +13,20 @@ use wimu_testkit::figure;
 
 const G: f64 = 9.80665;
 const RATE_HZ: f64 = 100.0;
-const NOISE: f64 = 0.01;
 
-fn octahedron(arm_m: f64) -> ArrayGeometry {
-    let unit = [
-        [1.0, 0.0, 0.0],
-        [-1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, -1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [0.0, 0.0, -1.0],
-    ];
-    ArrayGeometry::at(&unit.map(|place| place.map(|c| c * arm_m)))
+/// An octahedron on these parts of a motion.
+fn simulated(arm_m: f64, parts: &[Part], seed: u64) -> (Array, ArrayGeometry) {
+    let places = Places::Octahedron(arm_m);
+    Case { places, rate_hz: RATE_HZ, noise: 0.01, ..Case::default() }.recording_of(parts, seed)
 }
 
-/// Part of a motion: so long, s; angular rate about an axis that stays as it is at its end, rad/s; and a
-/// move, m, in navigation axes.
-#[derive(Clone, Copy)]
-struct Part {
-    seconds: f64,
-    rate: [f64; 3],
-    shift: [f64; 3],
+/// The rate about the vertical, rad/s, that is reached in a time, s.
+fn about_z(seconds: f64, spin: f64) -> Part {
+    Part { seconds, spin, ..Part::default() }
 }
 
-fn part(seconds: f64, rate: [f64; 3]) -> Part {
-    Part { seconds, rate, shift: [0.0; 3] }
-}
-
-fn about_z(seconds: f64, rate: f64) -> Part {
-    part(seconds, [0.0, 0.0, rate])
-}
-
-/// What an array puts out, with the truth as columns.
-struct Simulated {
-    recording: Array,
-    rates: Vec<[f64; 3]>,
-}
-
-/// Least jerk from 0 to 1: value, and its derivatives by the share of the way.
-fn smooth(x: f64) -> [f64; 3] {
-    [
-        x * x * x * (10.0 - 15.0 * x + 6.0 * x * x),
-        30.0 * x * x * (1.0 - x) * (1.0 - x),
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
-    ]
-}
-
-fn simulated(geometry: &ArrayGeometry, parts: &[Part], random: &mut Random) -> Simulated {
-    let biases: Vec<[f64; 3]> =
-        geometry.sensors.iter().map(|_| [0; 3].map(|_| 0.02 * random.normal())).collect();
-    let mut recording = Array::default();
-    let mut rates = Vec::new();
-    let (mut before, mut at, mut q) = ([0.0; 3], [0.0; 3], [1.0, 0.0, 0.0, 0.0]);
-    let dt = 1.0 / RATE_HZ;
-    for one in parts {
-        let count = (one.seconds * RATE_HZ).round() as usize;
-        for k in 0..count {
-            let x = k as f64 / count as f64;
-            let [value, slope, curve] = smooth(x);
-            let s = one.seconds;
-            let rate_at = |value: f64| -> [f64; 3] {
-                std::array::from_fn(|i| before[i] + value * (one.rate[i] - before[i]))
-            };
-            let rate = rate_at(value);
-            let turn: [f64; 3] = std::array::from_fn(|i| slope / s * (one.rate[i] - before[i]));
-            let [w, a, b, c] = q;
-            // Navigation to body axes.
-            let to_body = |v: [f64; 3]| -> [f64; 3] {
-                let u = [-a, -b, -c];
-                let t = cross(u, v).map(|x| 2.0 * x);
-                let tt = cross(u, t);
-                std::array::from_fn(|i| v[i] + w * t[i] + tt[i])
-            };
-            let force = to_body([
-                curve / (s * s) * one.shift[0],
-                curve / (s * s) * one.shift[1],
-                curve / (s * s) * one.shift[2] + G,
-            ]);
-            let row = geometry.sensors.iter().zip(&biases).map(|(sensor, bias)| {
-                let place = sensor.places_m[0];
-                let body: [f64; 3] = {
-                    let (t, c) = (cross(turn, place), cross(rate, cross(rate, place)));
-                    std::array::from_fn(|i| force[i] + t[i] + c[i])
-                };
-                std::array::from_fn(|axis| {
-                    let along: f64 = (0..3).map(|i| sensor.axes[axis][i] * body[i]).sum();
-                    along + bias[axis] + NOISE * random.normal()
-                })
-            });
-            let time_s = recording.len() as f64 * dt;
-            let row: Vec<[f64; 3]> = row.collect();
-            push(&mut recording, time_s, row);
-            rates.push(rate);
-            let position: [f64; 3] = std::array::from_fn(|i| at[i] + value * one.shift[i]);
-            push_truth(&mut recording, time_s, (position, q, rate));
-            // Attitude by the rate half a step on.
-            let [next, ..] = smooth((k as f64 + 0.5) / count as f64);
-            let by = rate_at(next).map(|w| w * dt);
-            let angle = by.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let half = if angle > 0.0 { (angle / 2.0).sin() / angle } else { 0.5 };
-            let (dw, [dx, dy, dz]) = ((angle / 2.0).cos(), by.map(|v| v * half));
-            q = [
-                w * dw - a * dx - b * dy - c * dz,
-                w * dx + a * dw + b * dz - c * dy,
-                w * dy - a * dz + b * dw + c * dx,
-                w * dz + a * dy - b * dx + c * dw,
-            ];
-        }
-        before = one.rate;
-        for (at, shift) in at.iter_mut().zip(one.shift) {
-            *at += shift;
-        }
-    }
-    Simulated { recording, rates }
+fn rates(recording: &Array) -> Vec<[f64; 3]> {
+    recording.beside(&recording.reference.rate_rad_s).into_iter().flatten().collect()
 }
 
 /// Judged, arranged, calibrated and navigated, as the command does.
@@ -176,7 +77,8 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
     }
     plateaus.extend([about_z(0.3, 0.0), about_z(2.0, 0.0)]);
     // Begun in the middle of a turn: the first stretch is no rest for being the first.
-    let mut begun = vec![about_z(2.0, 20.0)];
+    // From nothing to the turn in one sample.
+    let mut begun = vec![about_z(1.0 / RATE_HZ, 20.0), about_z(2.0, 20.0)];
     begun.extend([about_z(0.5, 0.0), about_z(3.0, 0.0)]);
     for (arm, name, parts, most) in [
         (0.01, "20 rad/s for 5 s, 1 cm", long(20.0), 0.3),
@@ -185,21 +87,15 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
         (0.01, "plateaus of 0.5 s, 1 cm", plateaus, 0.3),
         (0.03, "begun in a turn", begun, f64::INFINITY),
     ] {
-        let geometry = octahedron(arm);
-        let first = parts[0].rate;
-        let mut parts = parts;
-        if first[2] != 0.0 {
-            // From nothing to the turn in one sample, before the recording.
-            parts.insert(0, part(1.0 / RATE_HZ, first));
-        }
-        let all = simulated(&geometry, &parts, &mut Random::new(5));
-        let (path, calibration) = path(&all.recording, &geometry, true).unwrap();
+        let (recording, geometry) = simulated(arm, &parts, 5);
+        let rates = rates(&recording);
+        let (path, calibration) = path(&recording, &geometry, true).unwrap();
         for (first, count) in &calibration.rests {
-            let fastest = all.rates[*first..first + count].iter().map(|r| r[2].abs());
+            let fastest = rates[*first..first + count].iter().map(|r| r[2].abs());
             let fastest = fastest.fold(0.0, f64::max);
             assert!(fastest < 0.8, "{name}: a rest at {fastest} rad/s");
         }
-        let rms = rate_rms(&path, &all.rates);
+        let rms = rate_rms(&path, &rates);
         println!("{name}: angular rate off by {rms:.3} rad/s rms");
         if most.is_finite() {
             let claim = format!("octahedron about the vertical, {name}: rate, rad/s rms");
@@ -214,38 +110,33 @@ fn an_even_turn_about_the_vertical_is_no_rest() {
         );
     }
     // Nothing but a constant rotation, faster than biases explain: there is no rest.
-    let geometry = octahedron(0.03);
-    let all = simulated(
-        &geometry,
-        &[about_z(1.0 / RATE_HZ, 20.0), about_z(5.0, 20.0)],
-        &mut Random::new(6),
-    );
-    let error = path(&all.recording, &geometry, true).unwrap_err();
+    let turn = [about_z(1.0 / RATE_HZ, 20.0), about_z(5.0, 20.0)];
+    let (recording, geometry) = simulated(0.03, &turn, 6);
+    let error = path(&recording, &geometry, true).unwrap_err();
     assert!(error.code == Code::DataRefused && error.to_string().contains("constant rate"));
 }
 
-/// Rests in one attitude with moves and turns between.
+/// Rests with moves and turns between.
 fn carried() -> Vec<Part> {
     let mut parts = vec![about_z(3.0, 0.0)];
     let moves = [
-        ([0.3, -0.2, 0.1], [5.0, 3.0, 7.0]),
-        ([-0.2, 0.3, 0.2], [-4.0, 8.0, -3.0]),
-        ([0.1, 0.4, -0.3], [3.0, -7.0, 5.0]),
-        ([-0.3, -0.1, 0.2], [-8.0, 3.0, -4.0]),
+        ([0.3, -0.2, 0.1], [3.0, 1.8, 4.2]),
+        ([-0.2, 0.3, 0.2], [-2.4, 4.8, -1.8]),
+        ([0.1, 0.4, -0.3], [1.8, -4.2, 3.0]),
+        ([-0.3, -0.1, 0.2], [-4.8, 1.8, -2.4]),
     ];
-    for (shift, rate) in moves {
-        let moving = Part { seconds: 0.6, rate, shift };
-        parts.extend([moving, part(0.6, [0.0; 3]), part(2.0, [0.0; 3])]);
+    for (shift, turn) in moves {
+        parts.extend([Part { seconds: 1.2, shift, turn, ..Part::default() }, about_z(2.0, 0.0)]);
     }
     parts
 }
 
 #[test]
 fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
-    let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random::new(7));
-    let (sound, _) = path(&all.recording, &geometry, true).unwrap();
-    let without = end_error(&sound, &all.recording);
+    let (recording, geometry) = simulated(0.03, &carried(), 7);
+    let (sound, _) = path(&recording, &geometry, true).unwrap();
+    let without = end_error(&sound, &recording);
+    let rates = rates(&recording);
     println!("sound: end off by {without:.3} m, {:?}", sound.consistency());
     type Fail = fn(&mut [f64; 3]);
     let fails: [(&str, Fail); 4] = [
@@ -255,7 +146,7 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
         ("no number", |v| *v = [f64::NAN; 3]),
     ];
     for (name, fail) in fails {
-        let mut recording = all.recording.clone();
+        let mut recording = recording.clone();
         for output in &mut recording.units[2].force.v[400..] {
             fail(&mut output.data.0[0]);
         }
@@ -263,7 +154,7 @@ fn a_sensor_that_fails_on_the_way_leaves_the_others_as_they_were() {
         let error = end_error(&path, &recording);
         let last = path.points[path.points.len() - 1].sd_m();
         let (median, share) = path.consistency().unwrap();
-        let rms = rate_rms(&path, &all.rates);
+        let rms = rate_rms(&path, &rates);
         println!(
             "{name}: end off by {error:.3} ± {last:.3} m, NEES median {median:.2}, {share:.2} below 7.81, \
              rate off by {rms:.3}, rests {}",
@@ -286,16 +177,15 @@ fn values(array: &mut Array) -> impl Iterator<Item = &mut nalgebra::Vector3<f64>
 
 #[test]
 fn outputs_in_g_are_refused_and_those_of_coarse_steps_are_all_used() {
-    let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random::new(8));
+    let (recording, geometry) = simulated(0.03, &carried(), 8);
     // In g under the name of m/s²: said, not navigated.
-    let mut in_g = all.recording.clone();
+    let mut in_g = recording.clone();
     for output in values(&mut in_g) {
         *output /= G;
     }
     let error = path(&in_g, &geometry, true).map(|_| ()).unwrap_err();
     assert!(error.to_string().contains("which is not gravity"), "{error}");
-    let mut coarse = all.recording.clone();
+    let mut coarse = recording.clone();
     for output in values(&mut coarse) {
         *output = output.map(|axis| (axis / 0.15).round() * 0.15);
     }
@@ -307,12 +197,11 @@ fn outputs_in_g_are_refused_and_those_of_coarse_steps_are_all_used() {
 
 #[test]
 fn samples_at_a_full_scale_are_marked() {
-    let geometry = octahedron(0.03);
-    let mut all = simulated(&geometry, &carried(), &mut Random::new(8));
-    for output in &mut all.recording.units[1].force.v[320..330] {
+    let (mut recording, _) = simulated(0.03, &carried(), 8);
+    for output in &mut recording.units[1].force.v[320..330] {
         output[2] = 2.0 * G;
     }
-    let marked = all.recording.judged();
+    let marked = recording.judged();
     let count = (0..marked.len()).filter(|k| marked.is_saturated(*k, 1)).count();
     assert_eq!(count, 10, "{:?}", marked.remarks);
     assert!(
@@ -322,14 +211,13 @@ fn samples_at_a_full_scale_are_marked() {
 
 #[test]
 fn a_start_in_motion_is_said_and_its_velocity_unknown() {
-    let geometry = octahedron(0.03);
-    let mut all = simulated(&geometry, &carried(), &mut Random::new(10));
+    let (mut recording, geometry) = simulated(0.03, &carried(), 10);
     // From the middle of the first move on.
     let from = (3.3 * RATE_HZ) as usize;
-    for unit in &mut all.recording.units {
+    for unit in &mut recording.units {
         unit.force.forget_before(Ns::from_s(from as f64 / RATE_HZ), 0);
     }
-    let (path, _) = path(&all.recording, &geometry, true).unwrap();
+    let (path, _) = path(&recording, &geometry, true).unwrap();
     let (median, share) = path.consistency().unwrap();
     println!("begun in motion: NEES median {median:.2}, {share:.2} below 7.81");
     assert!(says(&path, "where the position begins"), "{:?}", path.findings);
@@ -343,9 +231,8 @@ fn a_start_in_motion_is_said_and_its_velocity_unknown() {
 
 #[test]
 fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation() {
-    let geometry = octahedron(0.03);
-    let all = simulated(&geometry, &carried(), &mut Random::new(12));
-    let arranged = all.recording.clone().judged().arranged(&geometry).unwrap();
+    let (recording, geometry) = simulated(0.03, &carried(), 12);
+    let arranged = recording.clone().judged().arranged(&geometry).unwrap();
     let calibration = ArrayCalibration::of(&arranged, &geometry, Gravity::UNKNOWN_PLACE).unwrap();
     let [filtered, smoothed] = [false, true].map(|smooth| {
         let choice = Choice { zupt: Zupt::Stated, smooth, ..Choice::default() };
@@ -353,7 +240,7 @@ fn the_smoothed_rate_of_an_array_is_closer_to_the_truth_and_within_its_deviation
         assert_eq!(path.smoothed_rate, smooth);
         path
     });
-    let [before, after] = [&filtered, &smoothed].map(|path| rate_rms(path, &all.rates));
+    let [before, after] = [&filtered, &smoothed].map(|path| rate_rms(path, &rates(&recording)));
     println!("{before:.4} and {after:.4} rad/s rms");
     assert!(after < 0.9 * before, "{after} {before}");
     let (_, share) = wimu_host::inertial::consistency(&smoothed.rate_nees.all).unwrap();

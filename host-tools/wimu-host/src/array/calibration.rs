@@ -74,9 +74,10 @@ pub struct ArrayCalibration {
     pub scale: f64,
     /// The same of the mean of all sensors.
     pub common_scale: f64,
-    /// How well each coordinate of a place is known, m: [`PLACE_SD_M`](Self::PLACE_SD_M) unless set.
+    /// How well each coordinate of a place is known, m: [`PLACE_SD_M`](Self::PLACE_SD_M) unless the geometry says it.
     pub place_sd_m: f64,
-    /// How well the sensors' times among each other are known, s: [`DELAY_SD_S`](Self::DELAY_SD_S) unless set.
+    /// How well the sensors' times among each other are known, s: [`DELAY_SD_S`](Self::DELAY_SD_S) unless the
+    /// geometry says it.
     pub delay_sd_s: f64,
     /// Why the error models are those of perfect sensors, where they are.
     pub uncalibrated: Option<String>,
@@ -160,8 +161,8 @@ impl ArrayCalibration {
             bias_mps2: BIAS_MPS2,
             scale: 0.0,
             common_scale: 0.0,
-            place_sd_m: Self::PLACE_SD_M,
-            delay_sd_s: Self::DELAY_SD_S,
+            place_sd_m: geometry.place_sd_mm.map_or(Self::PLACE_SD_M, |mm| mm * 1e-3),
+            delay_sd_s: geometry.delay_sd_us.map_or(Self::DELAY_SD_S, |us| us * 1e-6),
             uncalibrated: None,
             stored,
             fits: vec![None; sensors],

@@ -1,48 +1,39 @@
-//! An array's calibration as it is stored: error models, places and delays in its geometry.
+//! An array's calibration as it is stored: the error models of its sensors in its geometry.
 
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use super::fit::{RefineOptions, Refinement, refine};
 use super::{Array, ArrayBody, ArrayCalibration, ArrayGeometry, ArraySensor};
 use crate::{Code, Problem, Result};
 
-/// What a recording of rests, and of turns, says of an array.
+/// Calibration of an array from a recording of rests.
 #[derive(Clone, Debug)]
 pub struct CalibratedArray {
-    /// The geometry with an error model of each sensor that is of use, which holds the sensors' turns
-    /// against each other, and with places and delays where the recording tells them.
+    /// The geometry with an error model of each sensor that is used, which includes the sensors' rotations against each other.
     pub geometry: ArrayGeometry,
-    /// What the rests say; the models are in body axes.
+    /// What the rests show; the models are in body axes.
     pub calibration: ArrayCalibration,
-    /// What turns say of places and delays, or why they say nothing.
-    pub refinement: std::result::Result<Refinement, Problem>,
-    /// What turns show to be otherwise than given, and how well all agrees.
+    /// How well the sensors agree in motion, where there is some.
     pub findings: Vec<Problem>,
 }
 
-/// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations tell the
-/// error models and how the sensors are turned against each other, fast turns besides the places of all axes
-/// and the delays. What `geometry` has of models is not used.
+/// Calibrates an array from a recording in the sensors' own axes: rests in a dozen orientations show the
+/// error models and how the sensors are rotated against each other. Models in `geometry` are not used.
 ///
 /// # Errors
-/// `data_refused` where the rests do not suffice, the sensors contradict each other or their places show no angular rate; those of [`ArrayCalibration::of`].
+/// `data_refused` where the rests do not suffice, the sensors contradict each other or their positions show no angular rate;
+/// those of [`ArrayCalibration::of`].
 pub fn calibrate_array(
     recording: &Array,
     geometry: &ArrayGeometry,
     gravity: Gravity,
-    options: &RefineOptions,
 ) -> Result<CalibratedArray> {
     let mut geometry = geometry.clone();
     for sensor in &mut geometry.sensors {
         (sensor.model, sensor.sensitivity_lsb_per_g) = (None, None);
     }
-    let calibrated = |geometry: &ArrayGeometry| {
-        let arranged = recording.clone().arranged(geometry)?;
-        let calibration = ArrayCalibration::of(&arranged, geometry, gravity)?;
-        Ok::<_, Problem>((arranged, calibration))
-    };
-    let (mut arranged, mut calibration) = calibrated(&geometry)?;
+    let arranged = recording.clone().arranged(&geometry)?;
+    let calibration = ArrayCalibration::of(&arranged, &geometry, gravity)?;
     if let Some(why) = &calibration.uncalibrated {
         return Err(Code::DataRefused.error(format!("the array cannot be calibrated: {why}"),
             "hold the array still for two seconds in a dozen orientations, all sides and some tilts between",
@@ -50,22 +41,7 @@ pub fn calibrate_array(
         .at(&recording.name));
     }
     let mut findings = Vec::new();
-    (calibration.place_sd_m, calibration.delay_sd_s) = (options.place_sd_m, options.delay_sd_s);
-    let refinement = refine(&arranged, &geometry, &calibration, options);
-    match &refinement {
-        Ok(found) if !found.accepted => {}
-        Ok(found) => {
-            geometry = found.geometry.clone();
-            geometry.place_sd_mm = Some(found.known_place_m() * 1e3);
-            geometry.delay_sd_us = Some(found.known_delay_s() * 1e6);
-            (arranged, calibration) = calibrated(&geometry)?;
-        }
-        Err(why) if why.code == Code::DataRefused => {}
-        Err(why) => return Err(why.clone()),
-    }
-    calibration.place_sd_m = geometry.place_sd_mm.map_or(options.place_sd_m, |mm| mm * 1e-3);
-    calibration.delay_sd_s = geometry.delay_sd_us.map_or(options.delay_sd_s, |us| us * 1e-6);
-    // Whoever navigates with these places would be refused.
+    // Whoever navigates with these positions would be refused.
     if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
         agreement.check(&recording.name)?;
         findings.extend(agreement.findings());
@@ -77,7 +53,7 @@ pub fn calibrate_array(
         sensor.model = Some(in_own_axes(sensor, &calibration.sensors[k])?);
         sensor.sensitivity_lsb_per_g = recording.units[k].sensitivity_lsb_per_g;
     }
-    Ok(CalibratedArray { geometry, calibration, refinement, findings })
+    Ok(CalibratedArray { geometry, calibration, findings })
 }
 
 /// The model of a sensor in its own axes from that in body axes: with R from sensor to body axes, b ← Rᵀ b,

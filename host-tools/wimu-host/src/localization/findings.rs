@@ -1,9 +1,8 @@
-//! What is noticed of ranges: geometry, calibration that is not observed, jumps, moved anchors.
+//! What is noticed of ranges: geometry, clock, calibration that is not observed.
 
 use nalgebra::Vector3;
 
 use super::hypotheses::{Chosen, LAST_SHIFT_S};
-use super::model::Model;
 use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
@@ -18,15 +17,6 @@ use crate::{Code, Problem, Result};
 const LEAST_RANGES: usize = 12;
 /// A longer time without a range is reported, s.
 const GAP_S: f64 = 3.0;
-/// Blocks in which the residuals of an anchor are compared with the path, s, and ranges of a block at least.
-const BLOCK_S: f64 = 5.0;
-const LEAST_BLOCK: usize = 5;
-/// Median residual of a block that is reported: in standard deviations of a range, and m.
-const RESIDUAL_SIGMA: f64 = 6.0;
-const LEAST_RESIDUAL_M: f64 = 0.4;
-/// Deviation of a median over that of one value and √n, 1.25, times the standard score of a probability of 10⁻⁴: of a block
-/// whose noise, as estimated, is larger than assumed.
-const MEDIAN_SIGMA: f64 = 4.66;
 
 /// Refuses what cannot be solved, and reports gaps.
 pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Problem>> {
@@ -104,12 +94,7 @@ fn gaps(recording: &RangeRecording) -> Option<Problem> {
 }
 
 /// What a run shows.
-pub(super) fn after(
-    recording: &RangeRecording,
-    model: &Model,
-    run: &Run,
-    chosen: &Chosen,
-) -> Vec<Problem> {
+pub(super) fn after(recording: &RangeRecording, run: &Run, chosen: &Chosen) -> Vec<Problem> {
     let mut found = Vec::new();
     if let Some(other) = &chosen.other {
         let at = |p: &Vector3<f64>| format!("E {:.2} N {:.2} U {:.2} m", p.x, p.y, p.z);
@@ -126,68 +111,7 @@ pub(super) fn after(
         let text = "gravity is along the up axis of the anchors: their frame points down";
         found.push(Code::Axes.note(text));
     }
-    for time_s in &run.navigator.jumps_s {
-        let text = "several ranges contradicted the path: the position was found again from the ranges, and may jump";
-        found.push(Code::Navigation.warning(text).between(time_s - 1.0, *time_s));
-    }
-    if run.navigator.contradictions > 0 {
-        let text = format!(
-            "the path is inconsistent with later ranges at {} times: points before them are not smoothed with data after",
-            run.navigator.contradictions
-        );
-        found.push(Code::Navigation.note(text));
-    }
-    found.extend(residuals(recording, model, run));
-    found
-}
-
-/// Anchors whose ranges depart from the path for some time.
-fn residuals(recording: &RangeRecording, model: &Model, run: &Run) -> Vec<Problem> {
-    let limit_m = f64::max(LEAST_RESIDUAL_M, RESIDUAL_SIGMA * model.expected_m);
-    let mut found = Vec::new();
-    for (index, anchor) in recording.anchors.iter().enumerate() {
-        let own = &run.anchors[index];
-        let [bias, scale] = [own.bias_m, own.scale].map(|e| e.map_or(0.0, |[value, _]| value));
-        let residual = |time_s: f64, range_m: f64| {
-            let at = run.points.partition_point(|p| p.time_s < time_s).min(run.points.len() - 1);
-            let distance = (Vector3::from(run.points[at].position_m) - own.position_m).norm();
-            range_m - bias - (1.0 + scale) * distance
-        };
-        let pairs = recording.ranges.iter().filter(|r| r.source == index);
-        let pairs: Vec<(f64, f64)> =
-            pairs.map(|r| (r.time_s, residual(r.time_s + model.shift_s, r.value[0]))).collect();
-        let mut spans: Vec<(f64, f64, f64)> = Vec::new();
-        for block in pairs.chunk_by(|a, b| (a.0 / BLOCK_S).floor() == (b.0 / BLOCK_S).floor()) {
-            let median = median(block.iter().map(|(_, r)| *r)).unwrap_or_default();
-            let chance_m = MEDIAN_SIGMA * model.ranges.noise_m / (block.len() as f64).sqrt();
-            if block.len() < LEAST_BLOCK || median.abs() < limit_m.max(chance_m) {
-                continue;
-            }
-            let (from, to) = (block[0].0, block[block.len() - 1].0);
-            match spans.last_mut().filter(|last| from - last.1 < BLOCK_S && last.2 * median > 0.0) {
-                Some(last) => last.1 = to,
-                None => spans.push((from, to, median)),
-            }
-        }
-        for (from, to, median) in spans {
-            let (how, why) = if median > 0.0 {
-                ("longer", "check its position and its line of sight")
-            } else {
-                ("shorter", "has it moved?")
-            };
-            let size = significant(median.abs(), 3);
-            let text = format!(
-                "ranges of anchor {} are {size} m {how} than from the path: {why}",
-                anchor.id
-            );
-            found.push(
-                Code::Residuals
-                    .warning(text)
-                    .between(from, to)
-                    .remedy("they have little weight there"),
-            );
-        }
-    }
+    found.extend(run.navigator.findings());
     found
 }
 

@@ -244,7 +244,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
             (run, model, chosen) = found;
         }
     }
-    noticed.extend(findings::after(recording, &model, &run, &chosen));
+    noticed.extend(findings::after(recording, &run, &chosen));
     let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&ranged));
     path.findings = noticed;

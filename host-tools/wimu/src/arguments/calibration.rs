@@ -110,7 +110,7 @@ pub struct Calibrate {
 
     /// Calibrate an array of this geometry
     ///
-    /// Calibrate all accelerometers of an array, whose `geometry` is in this setup, see `wimu navigate --print-setup`. Rests in a dozen orientations give errors and relative rotations; fast rotation also gives positions and delays
+    /// Calibrate all accelerometers of an array, whose `geometry` is in this setup, see `wimu navigate --print-setup`. Rests in a dozen orientations give errors and relative rotations
     #[arg(
         hide_short_help = true,
         long,

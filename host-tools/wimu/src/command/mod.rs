@@ -2,7 +2,6 @@
 
 pub mod align;
 pub mod allan;
-mod array;
 pub mod calibrate;
 pub mod compare;
 pub mod convert;

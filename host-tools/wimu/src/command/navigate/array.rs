@@ -8,7 +8,6 @@ use wimu_host::array::{Array, ArrayCalibration, ArrayGeometry};
 use wimu_host::inertial::{Choice, InertialPath, navigate_array};
 
 use crate::arguments::Navigate;
-use crate::command::array;
 
 /// Navigates an array.
 pub fn path(arguments: &Navigate, geometry: &Path, choice: &Choice) -> Result<InertialPath> {
@@ -17,12 +16,11 @@ pub fn path(arguments: &Navigate, geometry: &Path, choice: &Choice) -> Result<In
         geometry = geometry.with_models(&arguments.with)?;
     }
     let setup = &arguments.aids.setup;
-    let options = array::prior(setup.place_sd_mm, setup.delay_sd_us, &geometry);
+    geometry.place_sd_mm = setup.place_sd_mm.or(geometry.place_sd_mm);
+    geometry.delay_sd_us = setup.delay_sd_us.or(geometry.delay_sd_us);
     let reading = arguments.reading.options(false);
     let recording = Array::read(&arguments.input, &reading, arguments.sensitivity)?;
     let recording = recording.arranged(&geometry)?;
-    let mut calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
-    calibration.place_sd_m = options.place_sd_m;
-    calibration.delay_sd_s = options.delay_sd_s;
+    let calibration = ArrayCalibration::of(&recording, &geometry, Gravity::UNKNOWN_PLACE)?;
     navigate_array(&recording, &geometry, &calibration, choice)
 }

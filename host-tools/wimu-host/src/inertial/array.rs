@@ -95,6 +95,10 @@ fn warnings(texts: Vec<String>) -> impl Iterator<Item = Problem> {
     (texts.into_iter()).map(|text| Code::Navigation.warning(text))
 }
 
+fn deviations(covariance: &[[f64; 3]; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| covariance[axis][axis].max(0.0).sqrt())
+}
+
 /// The path of an array whose states are these, against the truth where there is any.
 fn path_of(
     recording: &Array,
@@ -110,8 +114,8 @@ fn path_of(
             time_s: time.s(),
             position_m: state.position_m,
             velocity_mps: state.velocity_mps,
-            velocity_sd_mps: [0.0; 3],
-            attitude_sd_rad: [0.0; 3],
+            velocity_sd_mps: deviations(&state.velocity_covariance),
+            attitude_sd_rad: deviations(&state.attitude_covariance),
             quaternion: state.quaternion,
             rate_rad_s: state.rate_rad_s,
             rate_covariance: Some(state.rate_covariance),

@@ -126,8 +126,7 @@ fn the_covariance_covers_a_new_session() {
         }
     }
     coverage_figure(
-        "95 % intervals of 2, 3 and 5 sessions hold a new session's parameters, and the temperature \
-         coefficients",
+        "95 % intervals of 2, 3 and 5 sessions hold a new session's parameters and the slopes",
         &all,
         0.93..=0.97,
     );

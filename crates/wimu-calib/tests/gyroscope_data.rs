@@ -137,7 +137,7 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
     let [before, bias, after, left_out] =
         [before, bias, after, left_out].map(|angles| rms(&angles));
     figure(
-        "gyroscopes of 8 MPU-9150: error of the predicted direction of gravity, uncalibrated, bias only, calibrated, leave-one-out, ° rms",
+        "8 gyroscopes, gravity predicted: uncalibrated, bias, calibrated, left out, ° rms",
         format!("{before:.2}, {bias:.3}, {after:.3}, {left_out:.3}"),
         "leave-one-out below before",
         left_out < before,
@@ -213,7 +213,7 @@ fn a_magnetometer_that_was_only_translated_is_not_calibrated() {
         .collect();
     let refused = magnetometer(&poses, None);
     figure(
-        "BROAD slow A: heading of the uncalibrated magnetometer about its mean, ° rms; calibration",
+        "BROAD slow A: heading of the uncalibrated magnetometer, ° rms; calibration",
         format!("{:.2}, {}", rms(&off), if refused.is_ok() { "made" } else { "refused" }),
         "refused: no pose is upside down",
         refused.is_err(),

@@ -218,8 +218,7 @@ fn auto_predicts_poses_held_out_without_needless_intervals() {
         let [deviate, width] = held_out(&rows, runs);
         figure(
             &format!(
-                "8 MPU-9150, runs {}, `auto` of 13 poses: error of those held out over that expected; 90 % point of the half \
-                 width of m_xz, mrad",
+                "8 MPU-9150, runs {}, `auto` of 13 poses: held out over expected; half width of m_xz, mrad",
                 runs.join(" and ")
             ),
             format!("{deviate:.2}; {width:.2}"),

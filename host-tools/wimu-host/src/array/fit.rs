@@ -3,6 +3,7 @@
 use wimu_calib::array::{ArrayData, ArrayEstimate, ArrayPrior, fit_array};
 use wimu_model::geometry::Geometry;
 use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes, check, refused, with_room};
 use super::{Array, ArrayCalibration, ArrayGeometry};
@@ -195,6 +196,8 @@ fn in_motion<const M: usize>(
 ) -> Result<Fitted> {
     let used = |sensor: usize| calibration.uses(sensor);
     let axes = axes::<M>(geometry, calibration)?;
+    // Says of positions that show no rotation why.
+    ArraySolver::<M>::of(&axes, used).map_err(refused)?;
     let (times_s, count) = (recording.times_s(), recording.len());
     let rests: usize = calibration.rests.iter().map(|(_, count)| count).sum();
     let outputs: Vec<[f64; M]> = (0..count).map(|index| row(recording, index)).collect();

@@ -93,6 +93,9 @@ pub struct AxisTransfer {
     pub line: Option<Line>,
 }
 
+/// Largest number of pairs that are kept, 1.5 MiB: of 100 Hz, five minutes with every sample.
+const MOST_PAIRS: usize = 1 << 15;
+
 /// Result of a comparison with the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transfer {
@@ -153,7 +156,11 @@ impl Transfer {
 pub struct ReferenceTransfer {
     /// Whether cross-axis sensitivity is excluded.
     parallel: bool,
+    /// Every `1 << halvings`-th pair.
     samples: Vec<Pair>,
+    halvings: u32,
+    /// Number of all pairs.
+    count: u64,
     not_finite: u64,
 }
 
@@ -170,14 +177,26 @@ impl ReferenceTransfer {
         Self { parallel: true, ..self }
     }
 
-    /// Adds a sample of both streams, m/s², taken at the same time.
+    /// Adds a sample of both streams, m/s², taken at the same time. Of more than 32,768 every second is used, then every
+    /// fourth, and so on: memory is bounded.
     pub fn push(&mut self, reference_mps2: [f64; 3], output_mps2: [f64; 3]) {
         let pair = [reference_mps2, output_mps2];
-        if pair.as_flattened().iter().all(|c| c.abs() < 1e6) {
-            self.samples.push(pair.map(Vector3::from));
-        } else {
+        if !pair.as_flattened().iter().all(|c| c.abs() < 1e6) {
             self.not_finite += 1;
+            return;
         }
+        if self.samples.len() == MOST_PAIRS {
+            let mut index = 0;
+            self.samples.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.halvings += 1;
+        }
+        if self.count.trailing_zeros() >= self.halvings {
+            self.samples.push(pair.map(Vector3::from));
+        }
+        self.count += 1;
     }
 
     /// The result for the pairs so far.
@@ -203,7 +222,7 @@ impl ReferenceTransfer {
         }
         Ok(Transfer {
             axes: [self.axis(0)?, self.axis(1)?, self.axis(2)?],
-            samples: have as u64,
+            samples: self.count,
             not_finite: self.not_finite,
             dof: have.div_ceil(block_length(have)) - 1,
         })

@@ -163,8 +163,9 @@ impl SelfCheck {
         let expected_sd_mps2 = libm::sqrt(variance);
         let holds = residual_mps2.abs() <= MOST_DEVIATIONS * expected_sd_mps2;
         self.poses = self.poses.saturating_add(1);
-        if holds && apart > 0.0 {
-            let step = self.fit.change(&row, residual_mps2, 1.0 / apart);
+        if holds {
+            let weight = 1.0 / apart.max(f64::MIN_POSITIVE);
+            let step = self.fit.change(&row, residual_mps2, weight);
             self.fit.at.iter_mut().zip(&step).for_each(|(theta, step)| *theta += step);
         } else {
             self.contradictions = self.contradictions.saturating_add(1);

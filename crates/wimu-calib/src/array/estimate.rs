@@ -50,12 +50,6 @@ pub struct ArrayEstimate<const M: usize> {
     /// In their own units.
     pub(super) values: DVector<f64>,
     pub(super) covariance: DMatrix<f64>,
-    /// Cost at the estimate: χ² of data and prior; residuals above their noise count with their logarithm.
-    pub cost: f64,
-    /// Variance of the gradient over that of white residuals, at least 1: residuals are correlated.
-    pub inflation: f64,
-    /// ln |N| of the normal matrix in units of the prior deviations: information of the recording about the unknowns.
-    pub log_determinant: f64,
     /// Test of agreement with the motion of a rigid body.
     pub agreement: Agreement<M>,
 }

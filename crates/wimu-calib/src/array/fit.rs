@@ -258,7 +258,7 @@ pub(super) fn solve_all<const M: usize>(
     let moved = |values: &DVector<f64>, step: &DVector<f64>| values + step;
     // A fit that stops at a rough cost is as good as it gets.
     let end = least_squares::iterate(&start, 1.0, SETTINGS, sums, moved).ok_or_else(diverged)?;
-    let Sums { normal, spread, cost, .. } = problem.sums(&end.at)?;
+    let Sums { normal, spread, .. } = problem.sums(&end.at)?;
     let factor = Scaled::new(&normal, 0.0).ok_or_else(diverged)?;
     // Variance of the gradient over that of white residuals, at least 1, from the blocks of samples: residuals of a
     // motion that is no rigid body's are correlated.
@@ -279,8 +279,5 @@ pub(super) fn solve_all<const M: usize>(
         agreement: agreement(geometry, usable, data, &values),
         values,
         covariance,
-        cost,
-        inflation,
-        log_determinant: factor.ln_det(),
     })
 }

@@ -172,12 +172,12 @@ fn array(run: u32) -> Option<[f64; 2]> {
         let selection = Selection { accelerometer: None, poses: true };
         let data = data.samples(selection).unwrap();
         let report = calibrate(&data, &options).unwrap();
-        let fit = report.fit.unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
+        let fit = report.estimate.as_ref().unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
         assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
-        let sensitivity = report.sensitivity_lsb_per_g.unwrap();
+        let sensitivity = report.sensitivity_lsb_per_g().unwrap();
         assert!((sensitivity / 2048.0 - 1.0).abs() < 0.03, "{sensitivity}");
-        sums[0] += fit.rms_mm_s2 / 8.0;
-        sums[1] += fit.loo_rms_mm_s2.unwrap() / 8.0;
+        sums[0] += fit.rms_mps2 * 1e3 / 8.0;
+        sums[1] += fit.loo_rms_mps2.unwrap() * 1e3 / 8.0;
     }
     Some(sums)
 }

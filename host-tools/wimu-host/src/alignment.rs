@@ -1,13 +1,10 @@
 //! Alignment: the rotation from the sensor's axes to the body's, from rests and a straight move.
 
-use std::fmt;
-
-use crate::calibration::{Calibration, parameter_id};
-use serde::Serialize;
+use serde_json::json;
 use wimu_calib::{KnownDirection, Pose, align, straight_move};
 use wimu_model::ParameterSet;
 
-use crate::calibration::describe;
+use crate::calibration::{Calibration, CalibrationReport, describe};
 use crate::problem::Outcome;
 use crate::recording::Samples;
 use crate::{Code, Problem, Result};
@@ -63,41 +60,6 @@ pub struct AlignOptions {
     pub placement_sd_rad: f64,
 }
 
-/// The report of `wimu align`.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct AlignmentReport {
-    /// Status and findings.
-    #[serde(skip)]
-    pub outcome: Outcome,
-    /// The data.
-    pub source: String,
-    /// Rests found.
-    pub rests: usize,
-    /// Which they are, the first 64.
-    pub found: Vec<FoundRest>,
-    /// Sensor axes to body axes, quaternion W, X, Y, Z.
-    pub alignment_wxyz: Option<[f64; 4]>,
-    /// Standard deviation of its error about the body's axes, degrees.
-    pub sd_deg: Option<[f64; 3]>,
-    /// Largest angle between a measured and a stated direction, degrees.
-    pub residual_deg: Option<f64>,
-    /// The set with the alignment.
-    pub parameters: Option<ParameterSet>,
-    /// Its id.
-    pub parameter_id: Option<String>,
-}
-
-/// A rest that was found.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct FoundRest {
-    /// When it begins, s from the first sample.
-    pub from_s: f64,
-    /// When it ends.
-    pub to_s: f64,
-    /// Mean corrected specific force, m/s², sensor axes: it points up.
-    pub up_m_s2: [f64; 3],
-}
-
 /// Aligns a sensor that is corrected by `calibration` with its body; the result replaces the alignment in its parameters.
 ///
 /// Data that do not support an answer give a report with status `refused`.
@@ -108,46 +70,54 @@ pub fn alignment(
     data: &Samples<'_>,
     calibration: &Calibration,
     options: &AlignOptions,
-) -> Result<AlignmentReport> {
+) -> Result<CalibrationReport> {
     let set = &calibration.parameters()?;
     let forces = data.corrected(calibration.sensor())?;
     let rests = data.rests(&forces);
-    let outcome = directions(data, &forces, &rests, options)
+    let mut outcome = Outcome { findings: data.findings(), ..Outcome::default() };
+    outcome.findings.extend(data.temperature_finding(set));
+    let found = directions(data, &forces, &rests, options)
         .and_then(|known| align(&known).map_err(|refusal| refusal.to_string()));
-    let mut report = AlignmentReport {
-        source: data.name.to_owned(),
-        rests: rests.len(),
-        found: rests
-            .iter()
-            .take(MAX_RESTS)
-            .map(|rest| {
-                let last = rest.first_sample + u64::from(rest.samples).saturating_sub(1);
-                FoundRest {
-                    from_s: data.since_start_s(rest.first_sample as usize),
-                    to_s: data.since_start_s(last as usize),
-                    up_m_s2: rest.mean_mps2,
-                }
-            })
-            .collect(),
-        ..AlignmentReport::default()
+    let listed = &rests[..rests.len().min(MAX_RESTS)];
+    let span_s = |rest: &Pose| {
+        let last = rest.first_sample + u64::from(rest.samples).saturating_sub(1);
+        [rest.first_sample, last].map(|index| data.since_start_s(index as usize))
     };
-    report.outcome.findings = data.findings();
-    (report.outcome.findings).extend(data.temperature_finding(set));
-    match outcome {
-        Err(reason) => report.outcome.refuse(reason),
+    let mut numbers = json!({
+        "source": data.name,
+        "rests": rests.len(),
+        "found": Vec::from_iter(listed.iter().map(|rest| {
+            let [from_s, to_s] = span_s(rest);
+            json!({ "from_s": from_s, "to_s": to_s, "up_m_s2": rest.mean_mps2 })
+        })),
+    });
+    let mut head = format!("{}: {} rests", data.name, rests.len());
+    let (mut lines, mut file) = (Vec::new(), None);
+    match found {
+        Err(reason) => {
+            outcome.refuse(reason);
+            lines.extend(listed.iter().enumerate().map(|(k, rest)| {
+                let ([x, y, z], [from_s, to_s]) = (rest.mean_mps2, span_s(rest));
+                format!(
+                    "rest {k}: {from_s:.1} to {to_s:.1} s, up is {x:+.2} {y:+.2} {z:+.2} m/s² in sensor axes"
+                )
+            }));
+        }
         Ok(found) => {
-            let aligned = ParameterSet {
-                alignment: found.alignment,
-                alignment_covariance: Some(found.covariance),
-                ..*set
-            };
-            report.alignment_wxyz = Some(found.alignment.quaternion());
-            report.sd_deg = Some([0, 1, 2].map(|axis| found.covariance.sd(axis).to_degrees()));
-            report.residual_deg = Some(found.residual_rad.to_degrees());
-            report.parameter_id = Some(parameter_id(&aligned).to_string());
-            report.parameters = Some(aligned);
+            let (alignment, alignment_covariance) = (found.alignment, Some(found.covariance));
+            let aligned = ParameterSet { alignment, alignment_covariance, ..*set };
+            let (sd, residual) = (found.covariance, found.residual_rad.to_degrees());
+            numbers["alignment_wxyz"] = json!(alignment.quaternion());
+            numbers["sd_deg"] = json!([0, 1, 2].map(|axis| sd.sd(axis).to_degrees()));
+            numbers["residual_deg"] = json!(residual);
+            head += &format!(", the directions agree to {residual:.2}°");
+            lines = describe(&aligned);
+            file = Some(calibration.after(&aligned, data.name).of_device(data.info().device_id));
         }
     }
+    let title = format!("Alignment of {}", data.name);
+    let mut report = CalibrationReport::new(title, outcome, head, lines, numbers, file);
+    report.poses = rests;
     Ok(report)
 }
 
@@ -290,29 +260,4 @@ fn forward(
 fn mean(values: &[[f64; 3]]) -> [f64; 3] {
     let count = values.len().max(1) as f64;
     [0, 1, 2].map(|axis| values.iter().map(|v| v[axis]).sum::<f64>() / count)
-}
-
-impl fmt::Display for AlignmentReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}: {} rests", self.source, self.rests)?;
-        let Some(set) = &self.parameters else {
-            write!(out, "\n{}", self.outcome)?;
-            for (k, rest) in self.found.iter().enumerate() {
-                let [x, y, z] = rest.up_m_s2;
-                write!(
-                    out,
-                    "\nrest {k}: {:.1} to {:.1} s, up is {x:+.2} {y:+.2} {z:+.2} m/s² in sensor axes",
-                    rest.from_s, rest.to_s
-                )?;
-            }
-            return Ok(());
-        };
-        if let Some(residual) = self.residual_deg {
-            write!(out, ", the directions agree to {residual:.2}°")?;
-        }
-        for line in describe(set) {
-            write!(out, "\n{line}")?;
-        }
-        Ok(())
-    }
 }

@@ -16,31 +16,29 @@ mod poses;
 mod reference;
 mod report;
 mod several;
+mod solution;
 pub mod source;
 mod update;
 
 pub use correction::Correction;
 pub use datasheet::{Datasheet, DatasheetReport, LimitReport, datasheet};
-pub use describe::{Change, Difference, describe, not_observed, parameter_figures, values_text};
+pub use describe::{Difference, describe, not_observed, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
 pub use file::{
     AccelerometerCalibration, Calibration, Quality, SensorCalibration, Session, force_sd_mps2,
     read_parameters,
 };
-pub use gyroscope::GyroscopeReport;
 pub use identity::parameter_id;
-pub use magnetometer::{FieldPose, MagneticHalfWidths, MagnetometerReport, calibrate_magnetometer};
+pub use magnetometer::calibrate_magnetometer;
 pub use paired::Paired;
 pub(crate) use poses::Fitting;
 pub use poses::calibrate;
-pub use reference::{AxisReport, ReferenceReport, compare_with_reference};
-pub use report::{
-    CalibrationReport, Criterion, DriftReport, Fit, Grade, NextPose, Source, StaticPose,
-};
-pub use several::{Repeatability, SessionReport, SeveralFit, SeveralReport, calibrate_several};
+pub use reference::compare_with_reference;
+pub use report::{CalibrationReport, Criterion, Grade, NextPose, Source};
+pub use several::calibrate_several;
 pub use source::compiled_for;
-pub use update::{RestReport, UpdateReport, update};
+pub use update::update;
 
 use wimu_calib::{Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
 

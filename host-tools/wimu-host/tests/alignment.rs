@@ -1,7 +1,7 @@
 //! Alignment of a sensor with its body: temperature, and the push that tells ahead.
 
-use wimu_host::alignment::{AlignOptions, AlignmentReport, alignment};
-use wimu_host::calibration::Calibration;
+use wimu_host::alignment::{AlignOptions, alignment};
+use wimu_host::calibration::{Calibration, CalibrationReport};
 use wimu_host::problem::Outcome;
 use wimu_host::recording::{Quantity, Recording, Selection, Sink, TrackInfo, Unit};
 use wimu_model::{
@@ -47,7 +47,11 @@ fn cold(told: bool) -> Recording {
     recording
 }
 
-fn aligned(data: &Recording, set: &ParameterSet, options: &AlignOptions) -> AlignmentReport {
+fn quaternion(report: &CalibrationReport) -> Option<[f64; 4]> {
+    report.parameters.map(|set| set.alignment.quaternion())
+}
+
+fn aligned(data: &Recording, set: &ParameterSet, options: &AlignOptions) -> CalibrationReport {
     let calibration = Calibration::held(set);
     alignment(&data.samples(Selection::default()).unwrap(), &calibration, options).unwrap()
 }
@@ -60,8 +64,8 @@ fn the_temperature_of_the_rests_is_taken_out() {
         forward: false,
         placement_sd_rad: 0.003,
     };
-    let off_deg = |report: &AlignmentReport| {
-        let [_, x, y, z] = report.alignment_wxyz.unwrap();
+    let off_deg = |report: &CalibrationReport| {
+        let [_, x, y, z] = quaternion(report).unwrap();
         [x, y, z].map(|half| (2.0 * half).to_degrees().abs())
     };
     let report = aligned(&cold(true), &warm(), &options);
@@ -73,7 +77,7 @@ fn the_temperature_of_the_rests_is_taken_out() {
     let findings = &report.outcome.findings;
     assert!(findings.iter().any(|f| f.text.contains("28.0 °C")), "{findings:?}");
     assert!(
-        report.alignment_wxyz.is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
+        quaternion(&report).is_none() || off_deg(&report).iter().any(|off| *off > 0.5),
         "{report}"
     );
 }
@@ -124,14 +128,14 @@ fn a_push_gentle_or_brisk_tells_ahead() {
                 let data = pushed(peak, seconds, stands, turned);
                 let report = aligned(&data, &set, &options);
                 let case = format!("{peak} m/s² {seconds} s {stands:?} {turned}: {report}");
-                let [w, x, y, z] = report.alignment_wxyz.expect(&case);
+                let [w, x, y, z] = quaternion(&report).expect(&case);
                 let off = [x, y, z].map(|half| (2.0 * half).to_degrees().abs());
                 assert!(w > 0.9 && off.iter().all(|off| *off < 1.0), "{case}");
                 // As it says itself where it is told which the first is.
                 if !turned {
                     options.rests = Some(vec![0]);
                     let told = aligned(&data, &set, &options);
-                    assert_eq!(told.alignment_wxyz, report.alignment_wxyz, "{told}");
+                    assert_eq!(quaternion(&told), quaternion(&report), "{told}");
                 }
             }
         }

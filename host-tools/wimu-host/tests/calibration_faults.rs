@@ -207,7 +207,7 @@ fn the_first_finding_names_the_fault() {
         *all += 1;
         *named += usize::from(is_named(&report, fault));
         *many += usize::from(warnings(&report).len() > 2);
-        *refused += usize::from(report.fit.is_none());
+        *refused += usize::from(report.estimate.is_none());
         if !is_named(&report, fault) || warnings(&report).len() > 2 {
             println!("{fault:?} {seed}: {:?}", report.outcome.reason);
             for finding in warnings(&report) {
@@ -246,7 +246,7 @@ fn a_sound_session_has_no_warning() {
         let session = session(70_000 + seed as u64, 12 + seed % 19, Fault::None);
         let report = run(&session, &session.options);
         let warnings = warnings(&report);
-        if !warnings.is_empty() || report.fit.is_none() {
+        if !warnings.is_empty() || report.estimate.is_none() {
             warned += 1;
             println!("{seed}: {:?} {warnings:?}", report.outcome.reason);
         }
@@ -265,8 +265,10 @@ fn a_sound_session_has_no_warning() {
 fn a_pose_that_is_left_out_does_not_change_the_grade() {
     let error = |session: &Session| {
         let report = run(session, &session.options);
-        let fit = report.fit.expect("an estimate");
-        (report.rejected, fit.grade.error_mm_s2, fit.loo_rms_mm_s2.expect("of many poses"))
+        let estimate = report.estimate.expect("an estimate");
+        let left_out = estimate.loo_rms_mps2.expect("of many poses") * 1e3;
+        let grade = report.grade.expect("of an estimate");
+        (estimate.rejected.len(), grade.error_mm_s2, left_out)
     };
     let mut session = session(80_000, 20, Fault::None);
     let (rejected, grade, left_out) = error(&session);

@@ -201,7 +201,7 @@ fn a_recording_and_a_csv_file_of_the_same_counts_give_the_same_calibration() {
 
     let json = |data: &Recording| {
         let report = calibrate(data, &CalibrateOptions::default()).unwrap();
-        assert_eq!(report.poses, 13, "{report}");
+        assert_eq!(report.poses.len(), 13, "{report}");
         let mut json = serde_json::to_value(&report).unwrap();
         let object = json.as_object_mut().unwrap();
         // Only a board knows its full scale and its rate.

@@ -54,17 +54,22 @@ fn calibrated(recording: &Recording) -> CalibrationReport {
 fn the_gyroscope_of_a_session_is_in_the_report_and_the_file() {
     let report = calibrated(&session(Unit::Si, |w| w));
     let found = report.gyroscope.as_ref().expect("a gyroscope");
-    assert!(found.turns >= 15 && found.rms_deg < 0.5 && found.before_deg > 1.0, "{found:?}");
+    assert!(
+        found.turns >= 15
+            && found.rms_rad.to_degrees() < 0.5
+            && found.before_rad.to_degrees() > 1.0,
+        "{found:?}"
+    );
     for (axis, truth) in [0.02, -0.01, 0.005].into_iter().enumerate() {
-        let error = (found.model.bias_rad_s[axis] - truth).abs();
-        assert!(error < 5.0 * found.sd[axis], "{axis}: {error} {found:?}");
+        let error = (found.model.terms().bias_rad_s[axis] - truth).abs();
+        assert!(error < 5.0 * found.sd(axis), "{axis}: {error} {found:?}");
     }
     for (axis, truth) in [1.01, 0.99, 1.0].into_iter().enumerate() {
-        let error = (found.model.matrix[axis][axis] - truth).abs();
-        assert!(error < 5.0 * found.sd[3 + 4 * axis] && error < 0.005, "{axis}: {error} {found:?}");
+        let error = (found.model.terms().matrix[axis][axis] - truth).abs();
+        assert!(error < 5.0 * found.sd(3 + 4 * axis) && error < 0.005, "{axis}: {error} {found:?}");
     }
     let stored = report.file.unwrap().sensor().gyroscope.unwrap();
-    assert_eq!(stored.model.terms(), &found.model);
+    assert_eq!(stored.model, found.model);
 }
 
 #[test]
@@ -72,7 +77,7 @@ fn counts_of_unknown_unit_are_those_of_a_usual_sensitivity() {
     let unit = Unit::Counts { si_per_lsb: None };
     let report = calibrated(&session(unit, |w| w.map(|w| (w.to_degrees() * 65.5).round())));
     let found = report.gyroscope.as_ref().expect("a gyroscope");
-    assert!((found.model.matrix[0][0] - 1.01).abs() < 0.01, "{found:?}");
+    assert!((found.model.terms().matrix[0][0] - 1.01).abs() < 0.01, "{found:?}");
     let texts = report.outcome.findings.iter().map(|problem| problem.text.as_str());
     assert!(texts.clone().any(|text| text.contains("65.5 LSB per °/s")), "{report:?}");
     // It shows swapped axes.
@@ -94,7 +99,7 @@ fn scale_factors_ten_percent_off_are_found() {
     let report = calibrated(&session(Unit::Si, |w| w.map(|w| 1.1 * w)));
     let found = report.gyroscope.as_ref().expect("a gyroscope");
     for (axis, truth) in [1.111, 1.089, 1.1].into_iter().enumerate() {
-        let error = (found.model.matrix[axis][axis] - truth).abs();
+        let error = (found.model.terms().matrix[axis][axis] - truth).abs();
         assert!(error < 0.005, "{axis}: {error} {found:?}");
     }
 }
@@ -103,7 +108,7 @@ fn scale_factors_ten_percent_off_are_found() {
 fn a_refused_gyroscope_leaves_the_accelerometer() {
     let evidence = |recording: &Recording| {
         let report = calibrated(recording);
-        assert!(report.fit.is_some() && report.gyroscope.is_none());
+        assert!(report.estimate.is_some() && report.gyroscope.is_none());
         let mut findings = report.outcome.findings.iter();
         let found = findings.find(|f| f.text.contains("gyroscope is not calibrated"));
         found.expect("a finding").text.clone()

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::time::SystemTime;
 
 use pyo3::prelude::*;
-use wimu_calib::Face;
+use wimu_calib::{Estimate, Face};
 use wimu_host::calibration::{
-    self, CalibrateOptions, CalibrationReport, Fit, MethodChoice, SensorCalibration,
+    self, CalibrateOptions, CalibrationReport, MethodChoice, SensorCalibration,
 };
 use wimu_host::recording::Selection;
 use wimu_model::ParameterSet;
@@ -22,7 +22,7 @@ const SIDES: [&str; 6] = ["x", "-x", "y", "-y", "z", "-z"];
 #[pyclass(frozen, module = "wimu")]
 pub struct Calibration {
     report: CalibrationReport,
-    fit: Fit,
+    estimate: Estimate,
     file: calibration::Calibration,
 }
 
@@ -31,49 +31,49 @@ impl Calibration {
     /// m/s², shape (3,).
     #[getter]
     fn bias(&self, py: Python<'_>) -> Array1 {
-        column(py, self.fit.model.bias_mps2)
+        column(py, self.estimate.model.terms().bias_mps2)
     }
 
     /// Scale factors and misalignments, shape (3, 3).
     #[getter]
     fn matrix(&self, py: Python<'_>) -> Result<Array2> {
-        table(py, self.fit.model.matrix)
+        table(py, self.estimate.model.terms().matrix)
     }
 
     /// Standard deviation of `bias`, m/s².
     #[getter]
     fn bias_sd(&self, py: Python<'_>) -> Array1 {
-        column(py, self.fit.sd.bias_mps2)
+        column(py, self.estimate.sd().bias_mps2)
     }
 
     /// Standard deviations of `matrix`.
     #[getter]
     fn matrix_sd(&self, py: Python<'_>) -> Result<Array2> {
-        table(py, self.fit.sd.matrix)
+        table(py, self.estimate.sd().matrix)
     }
 
     /// Covariance of `bias`, then of `matrix` row by row, shape (12, 12).
     #[getter]
     fn covariance(&self, py: Python<'_>) -> Result<Array2> {
-        table(py, self.fit.covariance)
+        table(py, *self.estimate.covariance.matrix())
     }
 
     /// |f| − g over the poses after correction, m/s² rms.
     #[getter]
     fn rms(&self) -> f64 {
-        self.fit.rms_mm_s2 * 1e-3
+        self.estimate.rms_mps2
     }
 
     /// Number of static poses.
     #[getter]
     fn poses(&self) -> usize {
-        self.report.poses
+        self.report.poses.len()
     }
 
     /// Nominal sensitivity, LSB/g; None for data in m/s² without a given one.
     #[getter]
     fn sensitivity(&self) -> Option<f64> {
-        self.report.sensitivity_lsb_per_g
+        self.report.sensitivity_lsb_per_g()
     }
 
     /// What a user should know beside the numbers.
@@ -97,7 +97,7 @@ impl Calibration {
     }
 
     fn __repr__(&self) -> String {
-        let (source, poses) = (&self.report.source, self.report.poses);
+        let (source, poses) = (&self.report.source, self.report.poses.len());
         format!("<wimu.Calibration of {source}: {poses} poses>")
     }
 }
@@ -152,7 +152,7 @@ pub fn calibrate(
     let selection = Selection { accelerometer, poses: source.options().poses };
     let report =
         py.detach(|| calibration::calibrate(&source.data()?.samples(selection)?, &options))?;
-    let (Some(fit), Some(file)) = (report.fit.clone(), report.file.clone()) else {
+    let (Some(estimate), Some(file)) = (report.estimate.clone(), report.file.clone()) else {
         let poses: Vec<&str> = report.next_poses.iter().map(|pose| pose.text.as_str()).collect();
         let remedy = if poses.is_empty() {
             "check the recording".to_owned()
@@ -161,7 +161,7 @@ pub fn calibrate(
         };
         return Err(refused(&report.source, report.outcome.reason.as_deref(), remedy));
     };
-    Ok(Calibration { report, fit, file })
+    Ok(Calibration { report, estimate, file })
 }
 
 /// A calibration, or the path of a CAL.json.

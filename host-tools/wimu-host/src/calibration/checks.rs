@@ -5,13 +5,14 @@ use std::cmp::Ordering;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{
     Covariance, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters, Pose,
-    Reason, Refusal, Term, Terms, UnitHint, multi_position,
+    Reason, Refusal, Term, UnitHint, multi_position,
 };
-use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2, Sensitivity};
+use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2};
 
 use super::poses::{Poses, median_magnitude, range_note, rms};
-use super::report::{AXES, Criterion, Grade};
-use super::{CalibrateOptions, Datasheet, MethodChoice, ModelChoice, Source, magnitude, median};
+use super::report::{AXES, Criterion, Grade, names};
+use super::solution::Solution;
+use super::{Datasheet, MethodChoice, ModelChoice, Source, magnitude, median, nested};
 use crate::digits::significant;
 use crate::plural::counted;
 use crate::recording::{OutputUnit, RateSource, Samples};
@@ -112,96 +113,71 @@ pub(super) fn target(grade: &Grade) -> Option<Problem> {
     Some(Code::Residuals.warning(grade.to_string()).remedy(remedy))
 }
 
-/// What is known of a session beside its estimate.
-pub(super) struct Context<'a> {
-    pub data: &'a Samples<'a>,
-    pub options: &'a CalibrateOptions,
-    pub poses: &'a [Pose],
-    /// Poses left out of the fit.
-    pub rejected: &'a [usize],
-    pub lsb_per_g: Option<f64>,
-    /// Sensitivity and range for a board.
-    pub board: Option<(Sensitivity, (u8, Source))>,
-    /// Whether a gyroscope was calibrated: it shows swapped axes.
-    pub has_gyroscope: bool,
-}
-
-impl Context<'_> {
-    /// Why the data were refused, and which option of the command line helps. `used_lsb_per_g` converted the counts.
-    pub fn reason(&self, refusal: &Refusal, used_lsb_per_g: Option<f64>) -> String {
-        let (data, poses, options) = (self.data, self.poses, self.options);
-        let has = poses.len();
-        let mut reason = refusal.to_string();
+impl Solution<'_> {
+    /// Why the data were refused, and which option of the command line helps.
+    pub fn reason(&self, refusal: &Refusal) -> String {
+        let (poses, options) = (&self.poses, self.options);
+        let text = refusal.to_string();
         if let Reason::Unit { magnitude, hint: UnitHint::Sensitivity } = refusal.reason {
             let ratio = magnitude / options.gravity_mps2.unwrap_or(STANDARD_GRAVITY_MPS2);
-            let datasheet = options.datasheet.or(data.datasheet());
-            return reason
-                + " Instead: "
-                + &likely_sensitivity(ratio, used_lsb_per_g, datasheet)
-                + ".";
+            return format!("{text} Instead: {}.", self.likely_sensitivity(ratio));
         }
-        if looks_like_means(data, has) {
-            return reason
-                + " The rows look like means over static poses: if they are, add --poses.";
+        if looks_like_means(self.data, poses.len()) {
+            return text + " The rows look like means over static poses: if they are, add --poses.";
         }
-        if has == 1 && !data.poses {
-            return reason + " For the noise of a sensor at rest use `wimu allan`.";
+        if poses.len() == 1 && !self.data.poses {
+            return text + " For the noise of a sensor at rest use `wimu allan`.";
         }
-        let contradict =
-            matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. });
-        if contradict && options.method == MethodChoice::MultiPosition {
-            reason.extend(self.what_changed());
+        if options.method != MethodChoice::MultiPosition {
+            return text;
         }
-        if !refusal.needs_poses() || options.method != MethodChoice::MultiPosition {
-            return reason;
+        if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
+            return text + &self.what_changed().unwrap_or_default();
         }
-        if self.has_answer_with_priors() {
-            return reason
-                + " --model auto holds what they do not determine at typical tolerances.";
+        if !refusal.needs_poses() {
+            return text;
+        }
+        let with_priors = MultiPosition { priors: true, ..options.multi_position() };
+        if options.model != ModelChoice::Auto
+            && multi_position(poses, self.fitting.gravity, with_priors).is_ok()
+        {
+            return text + " --model auto holds what they do not determine at typical tolerances.";
         }
         let is_up = |face: &Face| poses.iter().any(|pose| Face::of(pose) == Some(*face));
         if Face::ALL.iter().all(is_up) {
-            reason += " All six sides are present: if they were placed squarely, --method six-position estimates 12 \
-                       parameters.";
+            return text
+                + " All six sides are present: if they were placed squarely, --method six-position estimates 12 parameters.";
         }
-        reason
-    }
-
-    /// Whether `--model auto` gives an answer where the poses alone do not.
-    fn has_answer_with_priors(&self) -> bool {
-        let Ok((gravity, _)) = self.options.gravity() else { return false };
-        let with_priors = MultiPosition { priors: true, ..self.options.multi_position() };
-        self.options.model != ModelChoice::Auto
-            && multi_position(self.poses, gravity, with_priors).is_ok()
+        text
     }
 
     /// The effect with which the poses that contradict each other have the best fit, and its option.
     fn what_changed(&self) -> Option<String> {
-        let options = self.options;
-        let (gravity, _) = options.gravity().ok()?;
-        let what = options.multi_position();
+        let what = self.options.multi_position();
         let base = if what.priors { "auto" } else { "9" };
-        let effects = [
-            ("temperature", [Term::BiasTemperature, Term::ScaleTemperature].into_iter().collect()),
-            ("drift", Terms::NONE.with(Term::Drift)),
-            ("quadratic", Terms::NONE.with(Term::Quadratic)),
+        let effects: [(&str, &[Term], &str); 3] = [
+            (
+                "temperature",
+                &[Term::BiasTemperature, Term::ScaleTemperature],
+                "The bias may depend on temperature",
+            ),
+            ("drift", &[Term::Drift], "The bias may have drifted"),
+            ("quadratic", &[Term::Quadratic], "The output may not be linear"),
         ];
-        let fits = effects.into_iter().filter_map(|(name, more): (&str, Terms)| {
-            let terms = what.terms.iter().chain(more.iter()).collect();
-            let fit = multi_position(self.poses, gravity, MultiPosition { terms, ..what }).ok()?;
-            (terms != what.terms && fit.dof >= MIN_REDUNDANCY).then_some((name, fit.loo_rms_mps2))
+        let fits = effects.into_iter().filter_map(|(name, more, effect)| {
+            let terms = what.terms.iter().chain(more.iter().copied()).collect();
+            let what = MultiPosition { terms, ..what };
+            let fit = multi_position(&self.poses, self.fitting.gravity, what).ok()?;
+            let is_new = terms != self.options.terms && fit.dof >= MIN_REDUNDANCY;
+            is_new.then_some((name, effect, fit.loo_rms_mps2))
         });
-        let (name, _) = fits.min_by(|a, b| a.1.partial_cmp(&b.1).unwrap_or(Ordering::Equal))?;
-        let effect = match name {
-            "temperature" => "The bias may depend on temperature",
-            "drift" => "The bias may have drifted",
-            _ => "The output may not be linear",
-        };
+        let (name, effect, _) =
+            fits.min_by(|a, b| a.2.partial_cmp(&b.2).unwrap_or(Ordering::Equal))?;
         Some(format!(" {effect}: --model {base}+{name} fits these poses."))
     }
 
-    /// All problems but the refusal; `changed` is a change of the sensor during the session.
-    pub fn problems(&self, estimate: Option<&Estimate>, changed: Option<Problem>) -> Vec<Problem> {
+    /// All problems but the refusal; `shows_axes` says whether a gyroscope shows swapped axes.
+    pub fn problems(&self, estimate: Option<&Estimate>, shows_axes: bool) -> Vec<Problem> {
         let (data, options) = (self.data, self.options);
         let mut problems = data.findings();
         if data.rate.is_some() && (data.poses || options.method != MethodChoice::MultiPosition) {
@@ -217,27 +193,28 @@ impl Context<'_> {
         }
         let Some(estimate) = estimate else { return problems };
         problems.extend(not_fitted(estimate));
-        problems.extend(placement(self.poses, estimate));
+        problems.extend(placement(&self.poses, estimate));
         problems.extend(self.sensitivity(estimate));
-        problems.extend(unobserved_by_rotations(self.poses, estimate));
-        let is_explained = changed.is_some();
-        problems.extend(changed);
-        problems.extend(self.residuals(estimate).filter(|_| !is_explained));
+        problems.extend(unobserved_by_rotations(&self.poses, estimate));
+        let refit = |poses: &[Pose]| self.fitting.of(poses).ok();
+        let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
+        let changed = nested::finding(&self.poses, estimate, refit, time_s);
+        problems.extend(changed.or_else(|| self.residuals(estimate)));
         problems.extend(self.of_boards());
-        if !self.has_gyroscope
-            && (options.method != MethodChoice::SixPosition || options.sides.is_none())
-        {
+        let has_sides = options.method == MethodChoice::SixPosition && options.sides.is_some();
+        if !shows_axes && !has_sides {
             let text = "swapped, mirrored or inverted axes cannot be detected";
             let remedy = "to detect them use --method six-position --sides, or record a gyroscope";
             problems.push(Code::Axes.note(text).remedy(remedy));
         }
-        let source = options.gravity().map_or(Source::Given, |(_, source)| source);
+        let source = self.fitting.gravity_source;
         let (model, fitted) = (estimate.model.terms(), estimate.fitted);
         problems.extend(gravity(model, &estimate.covariance, fitted, estimate.gravity, source));
-        if !self.rejected.is_empty() {
-            let count = counted(estimate.rejected.len().max(self.rejected.len()), "pose");
+        let rejected = self.rejected();
+        if !rejected.is_empty() {
+            let count = counted(estimate.rejected.len().max(rejected.len()), "pose");
             let text = "left out because the others contradict them";
-            let text = format!("{count} {text}: {:?} (from 0)", self.rejected);
+            let text = format!("{count} {text}: {rejected:?} (from 0)");
             problems.push(Code::PosesLeftOut.warning(text));
         }
         problems
@@ -246,22 +223,17 @@ impl Context<'_> {
     /// Scale factors far from 1.
     fn sensitivity(&self, estimate: &Estimate) -> Option<Problem> {
         let matrix = estimate.model.terms().matrix;
-        let is_far = |axis: &usize| {
-            let is_fitted = estimate.fitted.contains(Parameter::ALL[3 + 4 * axis]);
-            is_fitted && (matrix[*axis][*axis] - 1.0).abs() > UNUSUAL
-        };
-        let far: Vec<String> = (0..3)
-            .filter(is_far)
-            .map(|axis| format!("{} {:.3}", AXES[axis], matrix[axis][axis]))
-            .collect();
+        let scales = [0, 1, 2].map(|axis| matrix[axis][axis]);
+        let is_far = |scale: f64| (scale - 1.0).abs() > UNUSUAL;
+        let is_fitted = |axis: usize| estimate.fitted.contains(Parameter::ALL[3 + 4 * axis]);
+        let far = (0..3).filter(|axis| is_fitted(*axis) && is_far(scales[*axis]));
+        let far = Vec::from_iter(far.map(|axis| format!("{} {:.3}", AXES[axis], scales[axis])));
         if far.is_empty() {
             return None;
         }
-        let mean = (matrix[0][0] + matrix[1][1] + matrix[2][2]) / 3.0;
-        let counts = matches!(self.data.unit, OutputUnit::Counts { .. });
-        let datasheet = self.options.datasheet.or(self.data.datasheet());
-        let remedy = if (mean - 1.0).abs() > UNUSUAL {
-            likely_sensitivity(mean, self.lsb_per_g.filter(|_| counts), datasheet)
+        let mean = scales.iter().sum::<f64>() / 3.0;
+        let remedy = if is_far(mean) {
+            self.likely_sensitivity(mean)
         } else {
             "check these axes for damage or saturation".to_owned()
         };
@@ -274,7 +246,7 @@ impl Context<'_> {
         let rms = estimate.fitted_rms_mps2 * 1e3;
         let most = match estimate.method {
             Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
-            Method::MultiPosition => most_rms_mm_s2(self.poses, estimate),
+            Method::MultiPosition => most_rms_mm_s2(&self.poses, estimate),
             _ => SUSPICIOUS_RMS_MM_S2,
         };
         (rms > most).then(|| {
@@ -287,7 +259,7 @@ impl Context<'_> {
 
     /// What a board needs and does not get.
     fn of_boards(&self) -> Option<Problem> {
-        match (self.board, self.lsb_per_g) {
+        match (self.scale.of_board().zip(self.range), self.scale.lsb_per_g) {
             (Some((sensitivity, range)), _) => range_note(range, sensitivity),
             (None, Some(lsb_per_g)) => Some(Code::NotForBoards.warning(format!(
                 "{lsb_per_g:.1} LSB/g is outside the range of boards (160 to 1048576): this calibration cannot be pushed or \
@@ -296,27 +268,29 @@ impl Context<'_> {
             (None, None) => Some(no_sensitivity()),
         }
     }
-}
 
-/// What the sensitivity probably is, where that in use is wrong by the factor `ratio`.
-fn likely_sensitivity(ratio: f64, used: Option<f64>, sensor: Option<&Datasheet>) -> String {
-    let Some(used) = used else {
-        return format!("the sensitivity that converted the data is {ratio:.3} times too small");
-    };
-    let fitted = used * ratio;
-    let shown = (10.0 * used).round() / 10.0;
-    let known = Datasheet::KNOWN.iter().flat_map(|sheet| sheet.sensitivities_lsb_per_g);
-    let usual: Vec<f64> = match sensor {
-        Some(sheet) => sheet.sensitivities_lsb_per_g.to_vec(),
-        None => (0..11).map(|k| 256.0 * f64::from(1 << k)).chain(known.copied()).collect(),
-    };
-    let off = |lsb_per_g: &f64| (fitted / lsb_per_g - 1.0).abs();
-    let nearest = usual.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-    match nearest.filter(|nearest| off(nearest) < NEAR && off(nearest) < off(&used)) {
-        Some(nearest) => {
-            format!("{nearest} LSB/g is likely instead of {shown}: --sensitivity {nearest}")
+    /// What the sensitivity probably is, where that in use is wrong by the factor `ratio`.
+    fn likely_sensitivity(&self, ratio: f64) -> String {
+        let Some(used) = self.used_lsb_per_g() else {
+            return format!(
+                "the sensitivity that converted the data is {ratio:.3} times too small"
+            );
+        };
+        let fitted = used * ratio;
+        let shown = (10.0 * used).round() / 10.0;
+        let known = Datasheet::KNOWN.iter().flat_map(|sheet| sheet.sensitivities_lsb_per_g);
+        let usual: Vec<f64> = match self.options.datasheet.or(self.data.datasheet()) {
+            Some(sheet) => sheet.sensitivities_lsb_per_g.to_vec(),
+            None => (0..11).map(|k| 256.0 * f64::from(1 << k)).chain(known.copied()).collect(),
+        };
+        let off = |lsb_per_g: &f64| (fitted / lsb_per_g - 1.0).abs();
+        let nearest = usual.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        match nearest.filter(|nearest| off(nearest) < NEAR && off(nearest) < off(&used)) {
+            Some(nearest) => {
+                format!("{nearest} LSB/g is likely instead of {shown}: --sensitivity {nearest}")
+            }
+            None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
         }
-        None => format!("the fit gives {fitted:.0} LSB/g instead of {shown}"),
     }
 }
 
@@ -385,28 +359,25 @@ pub(super) fn no_sensitivity() -> Problem {
 
 /// The parameters that were not fitted.
 fn not_fitted(estimate: &Estimate) -> Vec<Problem> {
+    let code = Code::NotObserved;
     let mut problems = Vec::new();
-    let list = |parameters: Parameters| {
-        parameters.iter().map(|parameter| parameter.to_string()).collect::<Vec<_>>().join(", ")
-    };
     if !estimate.assumed.is_empty() {
-        problems.push(Code::NotObserved.note(format!(
-            "held at typical tolerances, because the poses do not determine them: {}",
-            list(estimate.assumed)
-        )));
+        let names = names(estimate.assumed).join(", ");
+        let text = "held at typical tolerances, because the poses do not determine them";
+        problems.push(code.note(format!("{text}: {names}")));
     }
-    let misalignment = |parameter: &Parameter| !matches!(parameter.index(), 0..3 | 3 | 7 | 11);
+    let is_misalignment = |parameter: &Parameter| !matches!(parameter.index(), 0..3 | 3 | 7 | 11);
     let (misalignments, others): (Vec<_>, Vec<_>) =
-        estimate.not_observed().iter().partition(misalignment);
+        estimate.not_observed().iter().partition(is_misalignment);
     if !misalignments.is_empty() {
         let mrad = estimate.sd().matrix[1][0] * 1e3;
         let text = format!("misalignments were not fitted: taken as 0 ± {mrad:.0} mrad");
-        problems.push(Code::NotObserved.note(text));
+        problems.push(code.note(text));
     }
     if !others.is_empty() {
-        problems.push(Code::NotObserved.warning(format!(
-            "not observed: {}; taken as ideal, with the standard deviations typical of datasheets",
-            list(others.into_iter().collect())
+        let names = names(others.into_iter().collect()).join(", ");
+        problems.push(code.warning(format!(
+            "not observed: {names}; taken as ideal, with the standard deviations typical of datasheets"
         )));
     }
     problems

@@ -1,27 +1,31 @@
 //! A parameter set in words, and what changes when one replaces another.
 
+use std::time::{Duration, UNIX_EPOCH};
+
 use serde::Serialize;
-use wimu_calib::Parameter;
+use wimu_calib::{Gravity, Parameter, Parameters};
 use wimu_link::hello::sensor;
 use wimu_model::{
-    CalibratedTemperature, CalibrationMethod, ErrorTerms, ParameterSet, QualityTerms, SensorId,
+    CalibratedTemperature, CalibrationMethod, ErrorTerms, ParameterSet, QualityTerms,
+    STANDARD_GRAVITY_MPS2, SensorId,
 };
 
 use super::parameter_id;
-use super::report::MISALIGNMENTS;
+use super::report::AXES;
+use crate::digits::{signed, signed_with_sd, with_sd};
 use crate::plural::counted;
 
-/// A term that changes.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[non_exhaustive]
-pub struct Change {
-    /// Its name with its unit.
-    pub name: &'static str,
-    /// Its values.
-    pub before: String,
-    /// The new ones.
-    pub after: String,
-}
+/// Begin of the year 10000, s since 1970 UTC: later times have no date.
+const YEAR_10000_S: u64 = 253_402_300_800;
+/// Misalignments by name, row and column of A.
+const MISALIGNMENTS: [(&str, usize, usize); 6] = [
+    ("m_yx", 0, 1),
+    ("m_zx", 0, 2),
+    ("m_xy", 1, 0),
+    ("m_zy", 1, 2),
+    ("m_xz", 2, 0),
+    ("m_yz", 2, 1),
+];
 
 /// The difference of two calibrations of a device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -29,8 +33,8 @@ pub struct Change {
 pub struct Difference {
     /// Which calibration replaces which.
     pub result: String,
-    /// The terms that change.
-    pub changed: Vec<Change>,
+    /// The terms that change: name with unit, value before, value after.
+    pub changed: Vec<[String; 3]>,
     /// What else differs.
     pub notes: Vec<String>,
 }
@@ -38,49 +42,33 @@ pub struct Difference {
 impl Difference {
     /// Of what the device holds (`None`: uncalibrated) and what would be written.
     pub fn of(before: Option<&ParameterSet>, after: &ParameterSet) -> Self {
-        let mut found = Self {
-            result: "the device was uncalibrated before".to_owned(),
-            changed: Vec::new(),
-            notes: Vec::new(),
-        };
         let Some(before) = before else {
-            return found;
+            let result = "the device was uncalibrated before".to_owned();
+            return Self { result, changed: Vec::new(), notes: Vec::new() };
         };
         let [old, new] = [before, after].map(parameter_id);
         if old == new {
-            found.result = format!("the device already holds {new}");
-            return found;
+            let result = format!("the device already holds {new}");
+            return Self { result, changed: Vec::new(), notes: Vec::new() };
         }
-        found.result = format!("{old} → {new}");
-        let mut below_precision = Vec::new();
-        for ((name, old), (_, new)) in
-            parameter_figures(before).into_iter().zip(parameter_figures(after))
-        {
-            let [before, after] = [&old, &new].map(|values| values_text(values));
-            if before != after {
-                found.changed.push(Change { name, before, after });
-            } else if old != new {
-                below_precision.push(name);
-            }
-        }
-        if !below_precision.is_empty() {
-            let names = below_precision.join("; ");
-            found.notes.push(format!("differences below the printed precision: {names}"));
-        }
+        let pairs = parameter_figures(before).into_iter().zip(parameter_figures(after));
+        let changed = pairs.filter_map(|((name, old), (_, new))| {
+            let [old, new] = [&old, &new].map(|values| values_text(values));
+            (old != new).then(|| [name.to_owned(), old, new])
+        });
         let others = [
             ("alignment", before.alignment != after.alignment),
             ("magnetometer calibration", before.magnetometer != after.magnetometer),
-            ("fit statistics", before.quality != after.quality),
+            ("quality of the fit", before.quality != after.quality),
             ("sensor", before.sensor != after.sensor),
             ("gyroscope calibration", before.gyroscope != after.gyroscope),
         ];
-        let others = others.into_iter().filter(|(_, differs)| *differs);
-        let others = others.map(|(name, _)| match name {
-            "fit statistics" => format!("{name} differ"),
-            _ => format!("{name} differs"),
-        });
-        found.notes.extend(others);
-        found
+        let notes = others.into_iter().filter(|(_, differs)| *differs);
+        Self {
+            result: format!("{old} → {new}"),
+            changed: changed.collect(),
+            notes: notes.map(|(name, _)| format!("{name} differs")).collect(),
+        }
     }
 }
 
@@ -120,28 +108,24 @@ pub fn values_text(values: &[f64]) -> String {
 /// The parameters, by name, that were not observed when a set was made: they have the ideal value and the standard
 /// deviation typical of datasheets.
 pub fn not_observed(set: &ParameterSet) -> Vec<String> {
-    let Some(quality) = &set.quality else {
-        return Vec::new();
-    };
+    let Some(quality) = &set.quality else { return Vec::new() };
     let q = quality.terms();
     let by_choice = |parameter: Parameter| {
         use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
         q.method == CalibrationMethod::MultiPosition
             && [MisalignmentYx, MisalignmentZx, MisalignmentZy].contains(&parameter)
     };
-    let perfect = ErrorTerms::default();
+    let values = |terms: &ErrorTerms| [&terms.bias_mps2, terms.matrix.as_flattened()].concat();
+    let [found, ideal] = [set.model.terms(), &ErrorTerms::default()].map(values);
     let unseen = |parameter: &Parameter| {
         let place = parameter.index();
-        let terms = set.model.terms();
-        let (value, ideal, usual) = match place {
-            0..3 => (terms.bias_mps2[place], 0.0, 0.5),
-            _ => {
-                let (row, column) = ((place - 3) / 3, (place - 3) % 3);
-                let usual = if row == column { 0.03 } else { 0.02 };
-                (terms.matrix[row][column], perfect.matrix[row][column], usual)
-            }
+        let usual_sd = match place {
+            0..3 => 0.5,
+            3 | 7 | 11 => 0.03,
+            _ => 0.02,
         };
-        value == ideal && q.covariance.sd(place) > 0.999 * usual && !by_choice(*parameter)
+        let is_usual = q.covariance.sd(place) > 0.999 * usual_sd;
+        found[place] == ideal[place] && is_usual && !by_choice(*parameter)
     };
     Parameter::ALL.into_iter().filter(unseen).map(|parameter| parameter.to_string()).collect()
 }
@@ -222,22 +206,72 @@ fn quality_lines(q: &QualityTerms) -> Vec<String> {
         let CalibratedTemperature { mean_c, lowest_c, highest_c } = t;
         lines.push(format!("at {mean_c:.1} °C, valid from {lowest_c:.1} to {highest_c:.1} °C"));
     }
-    lines.extend(q.utc_s.map(|utc_s| format!("made on {}", date(utc_s))));
+    if let Some(utc_s) = q.utc_s.filter(|utc_s| *utc_s < YEAR_10000_S) {
+        let made = httpdate::fmt_http_date(UNIX_EPOCH + Duration::from_secs(utc_s));
+        lines.push(format!("made on {made}"));
+    }
     lines
 }
 
-/// Date and time of day of a UTC time in s since 1970.
-fn date(utc_s: u64) -> String {
-    // Years from March on, in eras of 400 years (Hinnant, "chrono-compatible low-level date algorithms").
-    let days = utc_s / 86_400 + 719_468;
-    let day_of_era = days % 146_097;
-    let year_of_era =
-        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * from_march + 2) / 5 + 1;
-    let (month, next) = if from_march < 10 { (from_march + 3, 0) } else { (from_march - 9, 1) };
-    let year = 400 * (days / 146_097) + year_of_era + next;
-    let (hour, minute) = (utc_s / 3600 % 24, utc_s / 60 % 60);
-    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC")
+/// Gravity as text.
+pub(super) fn gravity_text(gravity: Gravity) -> String {
+    let uncertain = match gravity.sd_mps2() {
+        0.0 => String::new(),
+        sd => format!(" ± {sd}"),
+    };
+    format!("g = {:.5}{uncertain} m/s²", gravity.mps2())
+}
+
+/// A line for each axis, and one of the misalignments, of a model and its standard deviations.
+pub(super) fn parameter_lines(
+    (model, sd): (&ErrorTerms, &ErrorTerms),
+    fitted: Parameters,
+    not_observed: Parameters,
+) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (axis, name) in AXES.into_iter().enumerate() {
+        let (bias, bias_sd) = (model.bias_mps2[axis], sd.bias_mps2[axis]);
+        let bias = if not_observed.contains(Parameter::ALL[axis]) {
+            format!("bias not observed, taken as 0 ± {bias_sd:.1} m/s²")
+        } else {
+            let mg = signed(bias * 1e3 / STANDARD_GRAVITY_MPS2, 3);
+            format!("bias {} m/s² ({mg} mg)", signed_with_sd(bias, bias_sd))
+        };
+        let (scale, scale_sd) = (model.matrix[axis][axis], sd.matrix[axis][axis]);
+        let scale = if fitted.contains(Parameter::ALL[3 + 4 * axis]) {
+            with_sd(scale, scale_sd)
+        } else {
+            format!("not observed, taken as 1 ± {scale_sd:.2}")
+        };
+        lines.push(format!("{name}: {bias}, scale factor {scale}"));
+    }
+    let seen = |(_, r, c): &(_, usize, usize)| fitted.contains(Parameter::ALL[3 + 3 * r + c]);
+    let text = |(name, r, c): (&str, usize, usize)| {
+        let known = signed_with_sd(model.matrix[r][c] * 1e3, sd.matrix[r][c] * 1e3);
+        format!("{name} {known}")
+    };
+    let misaligned = Vec::from_iter(MISALIGNMENTS.into_iter().filter(seen).map(text));
+    if !misaligned.is_empty() {
+        lines.push(format!("misalignment, mrad: {}", misaligned.join(", ")));
+    }
+    lines
+}
+
+/// The temperature coefficients of a model and their standard deviations, where they were fitted.
+pub(super) fn temperature_line(
+    (model, sd): (&ErrorTerms, &ErrorTerms),
+    valid: Option<CalibratedTemperature>,
+) -> Option<String> {
+    let (slopes, slopes_sd) = (&model.temperature, &sd.temperature);
+    let CalibratedTemperature { lowest_c, highest_c, .. } =
+        valid.filter(|_| slopes_sd.bias_mps2_per_k[0] > 0.0)?;
+    let of = |value: [f64; 3], sd: [f64; 3], unit: f64| {
+        [0, 1, 2].map(|k| signed_with_sd(value[k] * unit, sd[k] * unit)).join(", ")
+    };
+    Some(format!(
+        "per K from {:.1} °C, valid from {lowest_c:.1} to {highest_c:.1} °C: bias {} mm/s², scale factor {} ppm",
+        slopes.reference_c,
+        of(slopes.bias_mps2_per_k, slopes_sd.bias_mps2_per_k, 1e3),
+        of(slopes.scale_per_k, slopes_sd.scale_per_k, 1e6),
+    ))
 }

@@ -1,13 +1,11 @@
 //! The gyroscope of a multi-position session, and its report.
 
-use std::fmt;
-
-use serde::Serialize;
+use serde_json::{Value, json};
 use wimu_calib::{
     AccelerometerCalibration, Estimate, GyroscopeEstimate, GyroscopeSession, Pose, Reason, Refusal,
     TurnFault,
 };
-use wimu_model::{GyroscopeParameters, GyroscopeTerms, STANDARD_GRAVITY_MPS2};
+use wimu_model::{GyroscopeParameters, STANDARD_GRAVITY_MPS2};
 
 use super::report::AXES;
 use crate::digits::{signed_with_sd, significant, with_sd};
@@ -27,41 +25,19 @@ const USUAL_LSB_PER_DPS: [f64; 9] =
     [131.0, 65.5, 32.8, 16.4, 1e3 / 8.75, 1e3 / 17.5, 1e3 / 35.0, 1e3 / 70.0, 14.375];
 /// Counts of 16 bits from which on an axis may be clipped.
 const LARGEST_COUNT: f64 = 32_700.0;
-/// Where A and G begin among the parameters.
+/// Where A and G begin among the parameters of an estimate, each row by row; before them is the bias.
 const MATRIX: usize = 3;
 const G_SENSITIVITY: usize = 12;
 
-/// The errors of the gyroscope: parameters in the order bias X, Y, Z, A row by row, G row by row.
-#[derive(Clone, Debug, Serialize)]
-pub struct GyroscopeReport {
-    /// The error model; the bias is that at the last rest.
-    pub model: GyroscopeTerms,
-    /// Standard deviations, rad/s, 1, rad/s per m/s²; those of datasheets for what was not observed.
-    pub sd: Vec<f64>,
-    /// Half widths of the 95 % intervals; null for what was not observed.
-    pub half_width_95: Vec<Option<f64>>,
-    /// Number of turns used.
-    pub turns: usize,
-    /// Error of the direction of gravity after a turn, ° rms, uncalibrated and corrected.
-    pub before_deg: f64,
-    /// Corrected.
-    pub rms_deg: f64,
-    /// What would improve the result most.
-    pub advice: Option<String>,
-    /// The parameters for a board.
-    #[serde(skip)]
-    pub parameters: Option<GyroscopeParameters>,
-}
-
-/// Calibrates the gyroscope of `data`, of which `poses` are the rests, m/s², at `mps2` m/s² per unit. `None` without a
-/// gyroscope or with findings only.
+/// Calibrates the gyroscope of `data`, of which `poses` are the rests, m/s², at `mps2` m/s² per unit. With the
+/// parameters for a board; `None` without a gyroscope or with findings only.
 pub(super) fn calibrate(
     data: &Samples<'_>,
     mps2: f64,
     poses: &[Pose],
     accelerometer: &Estimate,
     findings: &mut Vec<Problem>,
-) -> Option<GyroscopeReport> {
+) -> Option<(GyroscopeEstimate, Option<GyroscopeParameters>)> {
     let track = data.rate.filter(|_| !data.poses)?;
     let full_scale = track.info.full_scale;
     let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(&k)).then_some(*pose);
@@ -126,18 +102,7 @@ pub(super) fn calibrate(
         findings.push(refused(Code::Uncalibrated, error.to_string()));
     }
     findings.extend(remarks(&estimate));
-    let all = || 0..estimate.covariance.len();
-    let half_width = |i| estimate.observed(i).then(|| estimate.half_width_95(i));
-    Some(GyroscopeReport {
-        model: *estimate.model.terms(),
-        sd: all().map(|i| estimate.sd(i)).collect(),
-        half_width_95: all().map(half_width).collect(),
-        turns: estimate.turns,
-        before_deg: estimate.before_rad.to_degrees(),
-        rms_deg: estimate.rms_rad.to_degrees(),
-        advice: estimate.advice(),
-        parameters: parameters.ok(),
-    })
+    Some((estimate, parameters.ok()))
 }
 
 /// The estimate without the poses in which the gyroscope shows a rotation, at most one of five, and their number.
@@ -205,55 +170,61 @@ fn remarks(estimate: &GyroscopeEstimate) -> Vec<Problem> {
     left_out.chain(far).collect()
 }
 
-impl GyroscopeReport {
-    fn is_observed(&self, parameter: usize) -> bool {
-        self.half_width_95.get(parameter).is_some_and(Option::is_some)
-    }
+/// The numbers of an estimate: its bias is that at the last rest, standard deviations of what was not observed are those of
+/// datasheets, half widths of 95 % intervals null.
+pub(super) fn json(estimate: &GyroscopeEstimate) -> Value {
+    let all = 0..estimate.covariance.len();
+    let half_width = |i| estimate.observed(i).then(|| estimate.half_width_95(i));
+    json!({
+        "model": estimate.model.terms(),
+        "sd": Vec::from_iter(all.clone().map(|i| estimate.sd(i))),
+        "half_width_95": Vec::from_iter(all.map(half_width)),
+        "turns": estimate.turns,
+        "before_deg": estimate.before_rad.to_degrees(),
+        "rms_deg": estimate.rms_rad.to_degrees(),
+        "advice": estimate.advice(),
+    })
 }
 
-impl fmt::Display for GyroscopeReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let sd = |i: usize| self.sd.get(i).copied().unwrap_or_default();
-        for (axis, name) in AXES.into_iter().enumerate() {
-            let [bias, bias_sd] = [self.model.bias_rad_s[axis], sd(axis)].map(f64::to_degrees);
-            let bias = signed_with_sd(bias, bias_sd);
-            write!(out, "gyroscope {name}: bias {bias} °/s, scale factor ")?;
-            let (i, scale) = (MATRIX + 4 * axis, self.model.matrix[axis][axis]);
-            if self.is_observed(i) {
-                writeln!(out, "{}", with_sd(scale, sd(i)))?
-            } else {
-                writeln!(out, "not observed, taken as 1 ± {:.2}", sd(i))?
-            }
-        }
-        let cells = || (0..9).map(|k| (k, k / 3, k % 3));
-        let misaligned: Vec<String> = cells()
-            .filter(|(k, r, c)| r != c && self.is_observed(MATRIX + k))
-            .map(|(k, r, c)| {
-                let off = signed_with_sd(1e3 * self.model.matrix[r][c], 1e3 * sd(MATRIX + k));
-                format!("m_{}{} {off}", AXES[c].to_lowercase(), AXES[r].to_lowercase())
-            })
-            .collect();
-        if !misaligned.is_empty() {
-            writeln!(out, "gyroscope misalignment, mrad: {}", misaligned.join(", "))?;
-        }
-        let size = |(_, r, c): &(usize, usize, usize)| self.model.g_sensitivity[*r][*c].abs();
-        let observed = cells().filter(|(k, ..)| self.is_observed(G_SENSITIVITY + k));
-        if let Some(cell) = observed.max_by(|a, b| size(a).total_cmp(&size(b))) {
-            let per_g = |value: f64| (value * STANDARD_GRAVITY_MPS2).to_degrees();
-            let largest = with_sd(per_g(size(&cell)), per_g(sd(G_SENSITIVITY + cell.0)));
-            writeln!(out, "gyroscope g-sensitivity: at most {largest} °/s per g")?;
-        }
-        if self.turns > 0 {
-            let [before, after] = [self.before_deg, self.rms_deg].map(|deg| significant(deg, 3));
-            let turns = counted(self.turns, "turn");
-            writeln!(
-                out,
-                "direction of gravity after a turn: error {before}° rms before, {after}° after ({turns})"
-            )?;
-        }
-        match &self.advice {
-            Some(advice) => writeln!(out, "to improve the gyroscope: {advice}"),
-            None => Ok(()),
-        }
+/// An estimate as text.
+pub(super) fn lines(estimate: &GyroscopeEstimate) -> Vec<String> {
+    let terms = estimate.model.terms();
+    let mut lines = Vec::new();
+    for (axis, name) in AXES.into_iter().enumerate() {
+        let [bias, sd] = [terms.bias_rad_s[axis], estimate.sd(axis)].map(f64::to_degrees);
+        let (i, bias) = (MATRIX + 4 * axis, signed_with_sd(bias, sd));
+        let scale = if estimate.observed(i) {
+            with_sd(terms.matrix[axis][axis], estimate.sd(i))
+        } else {
+            format!("not observed, taken as 1 ± {:.2}", estimate.sd(i))
+        };
+        lines.push(format!("gyroscope {name}: bias {bias} °/s, scale factor {scale}"));
     }
+    let cells = || (0..9).map(|k| (k, k / 3, k % 3));
+    let misaligned = cells().filter(|(k, r, c)| r != c && estimate.observed(MATRIX + k));
+    let misaligned = Vec::from_iter(misaligned.map(|(k, r, c)| {
+        let off = signed_with_sd(1e3 * terms.matrix[r][c], 1e3 * estimate.sd(MATRIX + k));
+        format!("m_{}{} {off}", AXES[c].to_lowercase(), AXES[r].to_lowercase())
+    }));
+    if !misaligned.is_empty() {
+        lines.push(format!("gyroscope misalignment, mrad: {}", misaligned.join(", ")));
+    }
+    let size = |(_, r, c): &(usize, usize, usize)| terms.g_sensitivity[*r][*c].abs();
+    let observed = cells().filter(|(k, ..)| estimate.observed(G_SENSITIVITY + k));
+    if let Some(cell) = observed.max_by(|a, b| size(a).total_cmp(&size(b))) {
+        let [largest, sd] = [size(&cell), estimate.sd(G_SENSITIVITY + cell.0)]
+            .map(|value| (value * STANDARD_GRAVITY_MPS2).to_degrees());
+        let largest = with_sd(largest, sd);
+        lines.push(format!("gyroscope g-sensitivity: at most {largest} °/s per g"));
+    }
+    if estimate.turns > 0 {
+        let [before, after] =
+            [estimate.before_rad, estimate.rms_rad].map(|rad| significant(rad.to_degrees(), 3));
+        let turns = counted(estimate.turns, "turn");
+        lines.push(format!(
+            "direction of gravity after a turn: error {before}° rms before, {after}° after ({turns})"
+        ));
+    }
+    lines.extend(estimate.advice().map(|advice| format!("to improve the gyroscope: {advice}")));
+    lines
 }

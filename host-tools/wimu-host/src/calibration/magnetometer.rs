@@ -1,77 +1,43 @@
 //! Calibration of a magnetometer: hard and soft iron, and its rotation to the calibrated accelerometer beside it.
 
-use std::fmt;
+use serde_json::{Value, json};
+use wimu_calib::{Guide, MagneticEstimate, MagneticPose, Pose, Reason, magnetometer};
+use wimu_model::{MagneticFieldNt, MagnetometerModel, ParameterSet};
 
-use super::{Calibration, parameter_id};
-use serde::Serialize;
-use wimu_calib::{Guide, MagneticEstimate, MagneticPose, Orientation, Pose, Reason, magnetometer};
-use wimu_model::{MagneticFieldNt, MagnetometerModel, MagnetometerTerms, ParameterSet};
-
-use super::magnitude;
-use super::report::NextPose;
+use super::report::{CalibrationReport, NextPose};
+use super::{Calibration, magnitude};
 use crate::chart::{Chart, Series};
-use crate::digits::significant;
-use crate::document::Document;
 use crate::problem::Outcome;
 use crate::recording::{RateSource, Samples};
 use crate::{Code, Problem, Result};
 
-/// The report of `wimu calibrate --method magnetometer`, and a file that `wimu device params push` reads.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct MagnetometerReport {
-    /// Status and findings.
-    #[serde(skip)]
-    pub outcome: Outcome,
-    /// The data.
-    pub source: String,
-    /// `magnetometer`.
-    pub sensor: &'static str,
-    /// Rests found, with and without a magnetic field.
-    pub rests: usize,
-    /// Those with a magnetic field.
-    pub poses: Vec<FieldPose>,
-    /// Poses left out of the fit because the field was disturbed, by index from 0.
-    pub rejected_poses: Vec<usize>,
-    /// Recommended orientations, the most useful first, each with another side to the north.
-    pub next_poses: Vec<NextPose>,
-    /// How many more orientations are worthwhile.
-    pub poses_worth_adding: usize,
-    /// Hard and soft iron with their standard deviations, residuals, condition and rotation.
-    pub magnetometer: Option<MagnetometerTerms>,
-    /// Standard deviation of the rotation's error about the accelerometer's axes, degrees.
-    pub rotation_sd_deg: Option<[f64; 3]>,
-    /// Half widths of the 95 % intervals.
-    pub half_width_95: Option<MagneticHalfWidths>,
-    /// Angle of the field below the horizontal, degrees.
-    pub dip_deg: Option<f64>,
-    /// The accelerometer's set with the magnetometer.
-    pub parameters: Option<ParameterSet>,
-    /// Its id.
-    pub parameter_id: Option<String>,
+/// Below this dip the signs of the axes are not observable, degrees. Chosen.
+const MIN_DIP_DEG: f64 = 5.0;
+/// Largest distortion of the dip by walls and floors, degrees. Chosen.
+const MAX_DISTORTION_DEG: f64 = 15.0;
+/// Largest number of recommended orientations.
+const MAX_ADVISED: usize = 3;
+
+/// The magnetic field at a rest.
+struct FieldPose {
+    first_sample: u64,
+    /// Number of measurements of the field.
+    fields: usize,
+    /// Median of the output, and the upward direction.
+    pose: MagneticPose,
 }
 
-/// Half widths of 95 % intervals, by Student's t.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct MagneticHalfWidths {
-    /// Of the hard iron, µT.
-    pub hard_iron_ut: [f64; 3],
-    /// Of the soft iron, xx yy zz xy xz yz.
-    pub soft_iron: [f64; 6],
-    /// Of the rotation's error about the accelerometer's axes, degrees.
-    pub rotation_deg: Option<[f64; 3]>,
-}
+impl FieldPose {
+    /// Magnitude of the output, µT.
+    fn output_ut(&self) -> f64 {
+        magnitude(self.pose.output_nt) / 1e3
+    }
 
-/// The magnetic field at one rest.
-#[derive(Clone, Debug, Serialize)]
-pub struct FieldPose {
-    /// Index of the rest's first sample.
-    pub first_sample: u64,
-    /// Number of measurements of the field in it.
-    pub fields: usize,
-    /// Their median per axis, raw output, µT.
-    pub output_ut: [f64; 3],
     /// Magnitude of the corrected field less the mean magnitude, µT.
-    pub residual_ut: Option<f64>,
+    fn residual_ut(&self, model: &MagnetometerModel) -> f64 {
+        let output = MagneticFieldNt(self.pose.output_nt.map(|nt| nt.round() as i32));
+        (magnitude(model.correct(output)) - f64::from(model.terms().field_nt)) / 1e3
+    }
 }
 
 /// Estimates the magnetometer beside an accelerometer that `calibration` corrects; its model replaces
@@ -87,73 +53,86 @@ pub fn calibrate_magnetometer(
     data: &Samples<'_>,
     calibration: &Calibration,
     dip_rad: Option<f64>,
-) -> Result<MagnetometerReport> {
+) -> Result<CalibrationReport> {
     check(data)?;
-    let set = &calibration.parameters()?;
-    let forces = data.corrected(calibration.sensor())?;
-    let rests = if data.poses {
-        let rest = |(index, force): (usize, &[f64; 3])| Pose {
-            first_sample: index as u64,
-            ..Pose::from_mean(*force)
-        };
-        forces.iter().enumerate().map(rest).collect()
-    } else {
-        data.rests(&forces)
-    };
-    let all_fields: Vec<Option<[f64; 3]>> = data.iter().map(|o| o.magnetic_field_nt).collect();
-    let mut fitted = Vec::new();
-    let mut guide = Guide::default();
-    let mut poses = Vec::new();
-    for rest in &rests {
-        let first = rest.first_sample as usize;
-        let part = all_fields.get(first..).unwrap_or(&[]);
-        let part = &part[..part.len().min(rest.samples as usize)];
-        let fields: Vec<[f64; 3]> = part
-            .iter()
-            .flatten()
-            .copied()
-            // Registers read before the first conversion hold zeros.
-            .filter(|field| *field != [0.0; 3] && field.iter().all(|axis| axis.is_finite()))
-            .collect();
-        let Some(output_nt) = median(&fields) else {
-            continue;
-        };
-        guide.take(rest.mean_mps2);
-        fitted.push(MagneticPose { output_nt, up: rest.mean_mps2 });
-        poses.push(FieldPose {
-            first_sample: rest.first_sample,
-            fields: fields.len(),
-            output_ut: output_nt.map(|nt| nt / 1e3),
-            residual_ut: None,
-        });
+    let set = calibration.parameters()?;
+    let rests = rests(data, calibration)?;
+    let poses = field_poses(data, &rests);
+    let fitted = Vec::from_iter(poses.iter().map(|pose| pose.pose));
+    let estimate = magnetometer(&fitted, dip_rad);
+    let mut outcome = Outcome::default();
+    outcome.findings.extend(data.findings());
+    outcome.findings.extend(data.temperature_finding(&set));
+    let few = poses.iter().filter(|pose| pose.fields < 2).count();
+    if few > 0 && !data.poses {
+        let text = format!("{few} of {} poses have only one measurement of the field", poses.len());
+        outcome.findings.push(Code::MagneticField.warning(text).remedy("hold them longer"));
     }
-    let mut findings = data.findings();
-    findings.extend(data.temperature_finding(set));
-    let mut report = MagnetometerReport {
-        source: data.name.to_owned(),
-        sensor: "magnetometer",
-        rests: rests.len(),
-        poses,
-        next_poses: advice(&guide),
-        poses_worth_adding: guide.worth(|_| true),
-        ..MagnetometerReport::default()
-    };
-    match magnetometer(&fitted, dip_rad) {
-        Err(refusal) => {
-            report.outcome.refuse(match refusal.reason {
-                Reason::Axes => format!("{refusal}: --dip DEG"),
-                _ => refusal.to_string(),
-            });
-            // Other refusals are not resolved by more poses.
-            if !refusal.needs_poses() {
-                report.next_poses.clear();
-                report.poses_worth_adding = 0;
+    let mut guide = Guide::default();
+    fitted.iter().for_each(|pose| guide.take(pose.up));
+    let mut more = guide.worth(|_| true);
+    let next = std::iter::from_fn(|| {
+        let next = guide.next(|_| true)?;
+        guide.take(next.up());
+        Some(NextPose::from(next))
+    });
+    let mut next = Vec::from_iter(next.take(MAX_ADVISED));
+    let (mut answer, mut file) = (Vec::new(), None);
+    let model = estimate.as_ref().ok().map(|found| found.model);
+    match &estimate {
+        Ok(found) => {
+            outcome.findings.extend(disturbed(&poses, found));
+            outcome.findings.extend(of_dip(found, dip_rad));
+            let after = ParameterSet { magnetometer: Some(found.model), ..set };
+            file = Some(calibration.after(&after, data.name).of_device(data.info().device_id));
+            answer = lines(found);
+            if more > 0 {
+                answer.push(format!("{more} more poses are worthwhile"));
+            } else {
+                answer.push("more poses would improve it little".to_owned());
+                next.clear();
             }
         }
-        Ok(found) => report.accept(&found, set, &fitted),
+        Err(refusal) => {
+            let option = if refusal.reason == Reason::Axes { ": --dip DEG" } else { "" };
+            outcome.refuse(format!("{refusal}{option}"));
+            // Other refusals are not resolved by more poses.
+            if !refusal.needs_poses() {
+                (more, next) = (0, Vec::new());
+            }
+        }
     }
-    findings.extend(report.of_field(data, dip_rad));
-    report.outcome.findings.append(&mut findings);
+    answer.extend(
+        next.iter().map(|pose| format!("{pose}, and another side to the north than before")),
+    );
+    let json = json!({
+        "source": data.name,
+        "sensor": "magnetometer",
+        "rests": rests.len(),
+        "poses": Vec::from_iter(poses.iter().map(|pose| json!({
+            "first_sample": pose.first_sample,
+            "fields": pose.fields,
+            "output_ut": pose.pose.output_nt.map(|nt| nt / 1e3),
+            "residual_ut": model.map(|model| pose.residual_ut(&model)),
+        }))),
+        "rejected_poses": estimate.as_ref().map_or(&[][..], |found| &found.rejected),
+        "next_poses": next,
+        "poses_worth_adding": more,
+        "magnetometer": model.map(|model| *model.terms()),
+        "half_width_95": estimate.as_ref().ok().map(half_widths),
+        "dip_deg": model.and_then(|model| dip_deg(&model)),
+    });
+    let (name, all) = (data.name, poses.len());
+    let head = format!("{name}: {} rests, {all} with a magnetic field", rests.len());
+    let title = format!("Magnetometer of {name}");
+    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
+    if !poses.is_empty() {
+        report.page.chart(&chart("|B| before correction", &poses, FieldPose::output_ut));
+    }
+    if let Some(model) = model {
+        let title = "|B| less the mean field after correction";
+        report.page.chart(&chart(title, &poses, |pose| pose.residual_ut(&model)));
+    }
     Ok(report)
 }
 
@@ -174,209 +153,128 @@ fn check(data: &Samples<'_>) -> Result<()> {
     Err(error.at(data.name))
 }
 
-/// Below this dip the signs of the axes are not observable, degrees. Chosen.
-const MIN_DIP_DEG: f64 = 5.0;
-/// Largest distortion of the dip by walls and floors, degrees. Chosen.
-const MAX_DISTORTION_DEG: f64 = 15.0;
+/// The rests of the corrected accelerometer, or the rows of pose means.
+fn rests(data: &Samples<'_>, calibration: &Calibration) -> Result<Vec<Pose>> {
+    let forces = data.corrected(calibration.sensor())?;
+    if !data.poses {
+        return Ok(data.rests(&forces));
+    }
+    let rows = (0..).zip(&forces);
+    let rest =
+        |(first_sample, force): (u64, &[f64; 3])| Pose { first_sample, ..Pose::from_mean(*force) };
+    Ok(rows.map(rest).collect())
+}
 
-/// Largest number of recommended orientations.
-const MAX_ADVISED: usize = 3;
-
-/// The most useful orientations. Any rotation that changes the direction of gravity changes that of the field too.
-fn advice(guide: &Guide) -> Vec<NextPose> {
-    let mut guide = guide.clone();
-    let next = std::iter::from_fn(|| {
-        let next: Orientation = guide.next(|_| true)?;
-        guide.take(next.up());
-        Some(next.into())
-    });
-    next.take(MAX_ADVISED).collect()
+/// The rests with a magnetic field.
+fn field_poses(data: &Samples<'_>, rests: &[Pose]) -> Vec<FieldPose> {
+    let fields: Vec<Option<[f64; 3]>> = data.iter().map(|o| o.magnetic_field_nt).collect();
+    // Registers read before the first conversion hold zeros.
+    let is_valid =
+        |field: &[f64; 3]| *field != [0.0; 3] && field.iter().all(|axis| axis.is_finite());
+    let mut poses = Vec::new();
+    for rest in rests {
+        let part = fields.iter().skip(rest.first_sample as usize).take(rest.samples as usize);
+        let measured = Vec::from_iter(part.flatten().copied().filter(is_valid));
+        let Some(output_nt) = median(&measured) else { continue };
+        poses.push(FieldPose {
+            first_sample: rest.first_sample,
+            fields: measured.len(),
+            pose: MagneticPose { output_nt, up: rest.mean_mps2 },
+        });
+    }
+    poses
 }
 
 /// Median per axis: robust against a reading from before the rest.
 fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
     let last = fields.len().checked_sub(1)?;
     Some([0, 1, 2].map(|axis| {
-        let mut values: Vec<f64> = fields.iter().map(|field| field[axis]).collect();
+        let mut values = Vec::from_iter(fields.iter().map(|field| field[axis]));
         values.sort_by(f64::total_cmp);
         0.5 * (values[last / 2] + values[last.div_ceil(2)])
     }))
 }
 
-impl MagnetometerReport {
-    /// Findings of the magnetic field.
-    fn of_field(&self, data: &Samples<'_>, dip_rad: Option<f64>) -> Vec<Problem> {
-        let (code, mut findings) = (Code::MagneticField, Vec::new());
-        for &pose in &self.rejected_poses {
-            let off = self.poses.get(pose).and_then(|pose| pose.residual_ut);
-            findings.push(Code::PosesLeftOut.warning(format!(
-                "pose {pose} (from 0) left out: field disturbed, |B| differs by {:+.2} µT",
-                off.unwrap_or_default()
-            )));
-        }
-        let few = self.poses.iter().filter(|pose| pose.fields < 2).count();
-        if few > 0 && !data.poses {
-            let all = self.poses.len();
-            let text = format!("{few} of {all} poses have only one measurement of the field");
-            findings.push(code.warning(text).remedy("hold them longer"));
-        }
-        let Some(dip) = self.dip_deg else {
-            return findings;
-        };
-        findings.extend(match dip_rad.map(f64::to_degrees) {
-            _ if dip.abs() < MIN_DIP_DEG => Some(code.warning(
-                "the field is nearly horizontal: a negated or exchanged axis of the magnetometer cannot be detected",
-            )),
-            None => Some(
-                code.note("the field is assumed to point down, as north of the magnetic equator")
-                    .remedy("south of it give --dip, such as --dip -60, to detect a negated axis"),
-            ),
-            Some(place) if (dip - place).abs() > MAX_DISTORTION_DEG => {
-                let text = format!("the estimated dip is {dip:+.1}°, the given one {place:+.1}°");
-                Some(code.warning(text).remedy(
-                    "check --dip, iron nearby, the signs of the axes, and that --with is of this sensor",
-                ))
-            }
-            Some(_) => None,
-        });
-        findings
-    }
-
-    fn write_next(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for pose in &self.next_poses {
-            write!(
-                out,
-                "\nadd a pose with {}: {}, and another side to the north than before",
-                pose.text, pose.instruction
-            )?;
-        }
-        Ok(())
-    }
-
-    /// The report as one HTML page: the text, |B| of each pose before and after correction, and a table of the poses.
-    pub fn page(&self) -> Document {
-        let mut page = Document::new(format!("Magnetometer of {}", self.source));
-        let (text, ut) = (self.to_string(), |value: f64| format!("{} µT", significant(value, 3)));
-        page.result(text.lines().next().unwrap_or_default());
-        if let Some(found) = &self.magnetometer {
-            let hard_iron = magnitude(found.hard_iron_nt.map(|axis| f64::from(axis) / 1e3));
-            page.key("hard iron", &ut(hard_iron))
-                .key("field", &ut(f64::from(found.field_nt) / 1e3))
-                .key("|B| less the mean field, rms", &ut(f64::from(found.rms_nt) / 1e3));
-        }
-        page.printed(&text).findings(&self.outcome.findings);
-        let numbered = |value: &dyn Fn(&FieldPose) -> Option<f64>| -> Vec<(f64, f64)> {
-            let values = self.poses.iter().enumerate();
-            values.filter_map(|(k, pose)| Some((k as f64, value(pose)?))).collect()
-        };
-        let before = numbered(&|pose| Some(magnitude(pose.output_ut)));
-        let after = numbered(&|pose| pose.residual_ut);
-        for (title, name, points) in [
-            ("|B| before correction", "before", before),
-            ("|B| less the mean field after correction", "after", after),
-        ] {
-            if points.is_empty() {
-                continue;
-            }
-            let series = vec![Series::dots(name, points)];
-            page.chart(&Chart::new(title, "pose", "µT", series));
-        }
-        let rows: Vec<Vec<String>> = self
-            .poses
-            .iter()
-            .enumerate()
-            .map(|(k, pose)| {
-                let [x, y, z] = pose.output_ut;
-                let left_out = self.rejected_poses.contains(&k);
-                vec![
-                    k.to_string(),
-                    format!("{x:+.2} {y:+.2} {z:+.2}"),
-                    pose.fields.to_string(),
-                    pose.residual_ut.map_or(String::new(), |residual| format!("{residual:+.3}")),
-                    if left_out { "left out" } else { "" }.to_owned(),
-                ]
-            })
-            .collect();
-        page.table(
-            "Poses",
-            &["pose", "output, µT", "readings", "|B| less the mean field, µT", ""],
-            &rows,
-        );
-        page
-    }
-
-    fn accept(&mut self, found: &MagneticEstimate, set: &ParameterSet, fitted: &[MagneticPose]) {
-        let model: MagnetometerModel = found.model;
-        self.rejected_poses = found.rejected.clone();
-        let terms = *model.terms();
-        for (pose, fitted) in self.poses.iter_mut().zip(fitted) {
-            let length = magnitude(
-                model.correct(MagneticFieldNt(fitted.output_nt.map(|nt| nt.round() as i32))),
-            );
-            pose.residual_ut = Some((length - f64::from(terms.field_nt)) / 1e3);
-        }
-        let with = ParameterSet { magnetometer: Some(model), ..*set };
-        self.rotation_sd_deg = terms
-            .to_accelerometer
-            .map(|r| [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees()));
-        self.half_width_95 = Some(MagneticHalfWidths {
-            hard_iron_ut: found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
-            soft_iron: found.soft_iron_half_width_95(),
-            rotation_deg: found.rotation_half_width_95_rad().map(|axes| axes.map(f64::to_degrees)),
-        });
-        self.dip_deg = terms.to_accelerometer.map(|r| f64::from(r.dip_rad).to_degrees());
-        self.magnetometer = Some(terms);
-        self.parameter_id = Some(parameter_id(&with).to_string());
-        self.parameters = Some(with);
-    }
+/// The poses left out of the fit.
+fn disturbed(poses: &[FieldPose], found: &MagneticEstimate) -> Vec<Problem> {
+    let finding = |&pose: &usize| {
+        let off = poses[pose].residual_ut(&found.model);
+        Code::PosesLeftOut.warning(format!(
+            "pose {pose} (from 0) left out: field disturbed, |B| differs by {off:+.2} µT"
+        ))
+    };
+    found.rejected.iter().map(finding).collect()
 }
 
-impl fmt::Display for MagnetometerReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (source, rests, poses) = (&self.source, self.rests, self.poses.len());
-        write!(out, "{source}: {rests} rests, {poses} with a magnetic field")?;
-        let Some(m) = &self.magnetometer else {
-            write!(out, "\n{}", self.outcome)?;
-            return self.write_next(out);
-        };
-        let list = |values: &[f32], digits: usize| {
-            let each = values.iter().map(|value| format!("{value:+.digits$}"));
-            each.collect::<Vec<_>>().join(" ")
-        };
-        let ut = |nt: [f32; 3]| list(&nt.map(|axis| axis / 1e3), 3);
-        write!(
-            out,
-            "\nhard iron {} µT, 1 σ {}{}\nsoft iron xx yy zz xy xz yz {}\n     1 σ {}\n\
-             field {:.2} µT, {:.3} µT rms, leave-one-out {:.3}, condition {:.1}",
-            ut(m.hard_iron_nt),
-            ut(m.hard_iron_sd_nt),
-            self.half_width_95.map_or(String::new(), |half_width| {
-                let [x, y, z] = half_width.hard_iron_ut;
-                format!(", 95 % ± {x:.3} {y:.3} {z:.3}")
-            }),
-            list(&m.soft_iron, 5),
-            list(&m.soft_iron_sd, 5),
+fn dip_deg(model: &MagnetometerModel) -> Option<f64> {
+    model.terms().to_accelerometer.map(|r| f64::from(r.dip_rad).to_degrees())
+}
+
+/// What the dip shows, and what it cannot.
+fn of_dip(found: &MagneticEstimate, given_rad: Option<f64>) -> Option<Problem> {
+    let (dip, code) = (dip_deg(&found.model)?, Code::MagneticField);
+    if dip.abs() < MIN_DIP_DEG {
+        return Some(code.warning(
+            "the field is nearly horizontal: a negated or exchanged axis of the magnetometer cannot be detected",
+        ));
+    }
+    let Some(given) = given_rad.map(f64::to_degrees) else {
+        let text = "the field is assumed to point down, as north of the magnetic equator";
+        let remedy = "south of it give --dip, such as --dip -60, to detect a negated axis";
+        return Some(code.note(text).remedy(remedy));
+    };
+    ((dip - given).abs() > MAX_DISTORTION_DEG).then(|| {
+        let text = format!("the estimated dip is {dip:+.1}°, the given one {given:+.1}°");
+        code.warning(text).remedy(
+            "check --dip, iron nearby, the signs of the axes, and that --with is of this sensor",
+        )
+    })
+}
+
+/// Half widths of the 95 % intervals, by Student's t.
+fn half_widths(found: &MagneticEstimate) -> Value {
+    json!({
+        "hard_iron_ut": found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
+        "soft_iron": found.soft_iron_half_width_95(),
+        "rotation_deg": found.rotation_half_width_95_rad().map(|axes| axes.map(f64::to_degrees)),
+    })
+}
+
+/// The model with its deviations.
+fn lines(found: &MagneticEstimate) -> Vec<String> {
+    let m = found.model.terms();
+    let list = |values: &[f32], digits: usize| {
+        let each = values.iter().map(|value| format!("{value:+.digits$}"));
+        each.collect::<Vec<_>>().join(" ")
+    };
+    let ut = |nt: [f32; 3]| list(&nt.map(|axis| axis / 1e3), 3);
+    let [x, y, z] = found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3);
+    let (hard_iron, sd) = (ut(m.hard_iron_nt), ut(m.hard_iron_sd_nt));
+    let mut lines = vec![
+        format!("hard iron {hard_iron} µT, 1 σ {sd}, 95 % ± {x:.3} {y:.3} {z:.3}"),
+        format!("soft iron xx yy zz xy xz yz {}", list(&m.soft_iron, 5)),
+        format!("     1 σ {}", list(&m.soft_iron_sd, 5)),
+        format!(
+            "field {:.2} µT, {:.3} µT rms, leave-one-out {:.3}, condition {:.1}",
             m.field_nt / 1e3,
             m.rms_nt / 1e3,
             m.loo_rms_nt / 1e3,
             m.condition
-        )?;
-        if let (Some(r), Some([x, y, z])) = (&m.to_accelerometer, self.rotation_sd_deg) {
-            let [w, i, j, k] = r.rotation.quaternion();
-            write!(
-                out,
-                "\nrotation quaternion (w x y z), magnetometer to accelerometer: {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} {z:.2}°, \
-                 dip {:+.2}° ({:.2}° rms over the poses)",
-                r.dip_rad.to_degrees(),
-                r.dip_rms_rad.to_degrees()
-            )?;
-        }
-        match self.poses_worth_adding {
-            0 => write!(out, "\nmore poses would improve it little"),
-            more => {
-                write!(out, "\n{more} more poses are worthwhile")?;
-                self.write_next(out)
-            }
-        }
-    }
+        ),
+    ];
+    lines.extend(m.to_accelerometer.map(|r| {
+        let [w, i, j, k] = r.rotation.quaternion();
+        let [x, y, z] = [0, 1, 2].map(|axis| r.covariance.sd(axis).to_degrees());
+        let [dip, dip_rms] = [r.dip_rad, r.dip_rms_rad].map(f32::to_degrees);
+        format!(
+            "rotation quaternion (w x y z), magnetometer to accelerometer: {w:+.5} {i:+.5} {j:+.5} {k:+.5} ± {x:.2} {y:.2} \
+             {z:.2}°, dip {dip:+.2}° ({dip_rms:.2}° rms over the poses)"
+        )
+    }));
+    lines
+}
+
+fn chart(title: &str, poses: &[FieldPose], value: impl Fn(&FieldPose) -> f64) -> Chart {
+    let points = (0_u32..).map(f64::from).zip(poses.iter().map(value)).collect();
+    Chart::new(title, "pose", "µT", vec![Series::dots("pose", points)])
 }

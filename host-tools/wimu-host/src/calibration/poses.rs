@@ -3,28 +3,19 @@
 use std::collections::HashSet;
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Guide, Orientation, Placement, Pose, Reason, Refusal, Term,
-    four_angle, multi_position, six_position, six_position_labelled, three_angle,
+    Estimate, Face, Gravity, Placement, Pose, Refusal, four_angle, multi_position, six_position,
+    six_position_labelled, three_angle,
 };
-use wimu_model::{GyroscopeParameters, ParameterSet, STANDARD_GRAVITY_MPS2, Sensitivity};
+use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
-use super::file::Quality;
-use super::report::{Fit, Grade, MAX_POSES, StaticPose};
+use super::solution::Solution;
 use super::{
-    AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
-    MethodChoice, NextPose, SENSOR_LSB_PER_G, SensorCalibration, Session, Source, checks,
-    gyroscope, magnitude, median, nested, parameter_id,
+    CalibrateOptions, CalibrationReport, MethodChoice, SENSOR_LSB_PER_G, Source, checks, magnitude,
+    median,
 };
-use crate::csv::AccelerationUnit;
 use crate::plural::counted;
-use crate::problem::Outcome;
 use crate::recording::{Output, OutputUnit, Samples};
 use crate::{Code, Problem, Result};
-
-/// Largest number of orientations recommended at once.
-const MAX_ADVISED: usize = 6;
-/// Up to this many poses, three more than parameters, are planned together: chosen one by one they would not be the best set.
-const PLANNED: usize = 12;
 
 /// Estimates the error model from a dataset.
 ///
@@ -34,40 +25,32 @@ const PLANNED: usize = 12;
 /// `usage` when an option is out of bounds.
 pub fn calibrate(data: &Samples<'_>, options: &CalibrateOptions) -> Result<CalibrationReport> {
     let fitting = Fitting::new(options)?;
-    let gravity = fitting.gravity;
-    let mut scale = Scale::of(data, options, gravity)?;
+    let mut scale = Scale::of(data, options, fitting.gravity)?;
     let mut found = Poses::find(data, scale.mps2);
     let repeated = found.without_repetitions(options.method);
     options.check_sides(data, &found.poses)?;
-    let mut outcome = match checks::refusal(data, &found, gravity) {
+    let mut fit = match checks::refusal(data, &found, fitting.gravity) {
         Some(refusal) => Err(refusal),
         None => fitting.of(&found.poses),
     };
-    if let (Some(Source::Fit), Ok(estimate)) = (scale.source, &outcome) {
+    if let (Some(Source::Fit), Ok(estimate)) = (scale.source, &fit) {
         scale = scale.of_fit(estimate);
         found.rescale(scale.mps2);
-        outcome = fitting.of(&found.poses);
+        fit = fitting.of(&found.poses);
     }
-    let session = Fitted {
-        data,
-        options,
-        gravity,
-        scale,
-        poses: found.poses,
-        outcome,
-        problems: Vec::from_iter(repeated),
-    };
-    session.report(&fitting)
+    let range = range(data.unit, options.range_g, scale.of_board());
+    let solution = Solution { data, options, fitting, scale, range, poses: found.poses, fit };
+    Ok(solution.report(repeated))
 }
 
 /// What converts the data to m/s².
 #[derive(Clone, Copy)]
-struct Scale {
+pub(super) struct Scale {
     /// LSB/*g*; `None` for data in m/s² without a given one, and before the fit.
-    lsb_per_g: Option<f64>,
-    source: Option<Source>,
+    pub lsb_per_g: Option<f64>,
+    pub source: Option<Source>,
     /// m/s² of one unit.
-    mps2: f64,
+    pub mps2: f64,
 }
 
 impl Scale {
@@ -104,7 +87,7 @@ impl Scale {
     }
 
     /// As a board takes it.
-    fn of_board(&self) -> Option<Sensitivity> {
+    pub fn of_board(&self) -> Option<Sensitivity> {
         Sensitivity::from_lsb_per_g(self.lsb_per_g?).ok()
     }
 }
@@ -232,15 +215,16 @@ pub(super) fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// How the model is fitted to poses.
 pub(crate) struct Fitting<'a> {
     options: &'a CalibrateOptions,
-    gravity: Gravity,
+    pub gravity: Gravity,
+    pub gravity_source: Source,
     placement: Placement,
 }
 
 impl<'a> Fitting<'a> {
     /// As the options say.
     pub fn new(options: &'a CalibrateOptions) -> Result<Self> {
-        let (gravity, _) = options.gravity()?;
-        Ok(Self { options, gravity, placement: options.placement()? })
+        let (gravity, gravity_source) = options.gravity()?;
+        Ok(Self { options, gravity, gravity_source, placement: options.placement()? })
     }
 
     /// The estimate from poses at the nominal sensitivity.
@@ -260,236 +244,4 @@ impl<'a> Fitting<'a> {
             MethodChoice::MultiPosition => multi_position(poses, gravity, options.multi_position()),
         }
     }
-}
-
-/// A fit, and all that its report says.
-struct Fitted<'a> {
-    data: &'a Samples<'a>,
-    options: &'a CalibrateOptions,
-    gravity: Gravity,
-    scale: Scale,
-    poses: Vec<Pose>,
-    outcome: Result<Estimate, Refusal>,
-    problems: Vec<Problem>,
-}
-
-impl Fitted<'_> {
-    fn report(mut self, fitting: &Fitting<'_>) -> Result<CalibrationReport> {
-        let (data, options, scale) = (self.data, self.options, self.scale);
-        let range = range(data.unit, options.range_g, scale.of_board());
-        let mut of_gyroscope = Vec::new();
-        let gyroscope = match &self.outcome {
-            Ok(estimate) if options.method == MethodChoice::MultiPosition => {
-                gyroscope::calibrate(data, scale.mps2, &self.poses, estimate, &mut of_gyroscope)
-            }
-            _ => None,
-        };
-        self.problems.append(&mut of_gyroscope);
-        let datasheet = self.limits();
-        let (rejected, rejected_poses) = self.rejected();
-        let shows_axes =
-            gyroscope.is_some() || self.problems.iter().any(|problem| problem.code == Code::Axes);
-        let mut outcome = self.problems(fitting, range, &rejected_poses, shows_axes);
-        outcome.findings.extend(datasheet.iter().map(DatasheetReport::finding));
-        let estimate = self.outcome.as_ref().ok();
-        let parameters = gyroscope.as_ref().and_then(|found| found.parameters);
-        let file = estimate.map(|estimate| self.file(estimate, range, parameters));
-        let set = file.as_ref().and_then(|file| file.parameters().ok());
-        let grade = |estimate| Grade::new(estimate, &self.poses, options.target_mps2);
-        let fit = estimate.map(|estimate| Fit::new(estimate, grade(estimate)));
-        outcome.findings.extend(fit.as_ref().and_then(|fit| checks::target(&fit.grade)));
-        let (next_poses, poses_worth_adding) = self.advice();
-        let gravity_mps2 = self.gravity.mps2();
-        let residuals = self.poses.iter().map(|pose| magnitude(pose.mean_mps2) - gravity_mps2);
-        let listed = if self.poses.len() > MAX_POSES { &[] } else { &self.poses[..] };
-        Ok(CalibrationReport {
-            outcome,
-            source: data.name.to_owned(),
-            method: options.method.name(),
-            terms: terms(estimate, options),
-            poses: self.poses.len(),
-            rate_hz: (!data.poses).then_some(data.rate_hz),
-            rate_source: (!data.poses).then_some(data.rate_source),
-            gravity_m_s2: gravity_mps2,
-            gravity_sd_m_s2: self.gravity.sd_mps2(),
-            gravity_source: options.gravity()?.1,
-            unit: self.unit().as_str(),
-            sensitivity_lsb_per_g: scale.lsb_per_g,
-            sensitivity_source: scale.source.filter(|_| scale.lsb_per_g.is_some()),
-            range_g: range.map(|(g, _)| g),
-            range_source: range.map(|(_, source)| source),
-            uncalibrated_rms_mm_s2: rms(residuals).map(|rms| rms * 1e3),
-            fit,
-            rejected,
-            next_poses,
-            poses_worth_adding,
-            static_poses: listed.iter().map(|pose| StaticPose::new(pose, estimate)).collect(),
-            gyroscope,
-            datasheet,
-            parameter_id: set.as_ref().map(|set: &ParameterSet| parameter_id(set).to_string()),
-            parameters: set,
-            file,
-            rejected_poses,
-            estimate: self.outcome.ok(),
-        })
-    }
-
-    /// The estimate against the limits of the sensor's datasheet.
-    fn limits(&self) -> Option<DatasheetReport> {
-        let (datasheet, estimate) =
-            self.options.datasheet.or(self.data.datasheet()).zip(self.outcome.as_ref().ok())?;
-        let counts = self.unit() == AccelerationUnit::Lsb;
-        let used = self.scale.lsb_per_g.filter(|_| counts);
-        Some(DatasheetReport::new(datasheet, estimate, used))
-    }
-
-    /// What the session and the estimate show, and why there is no estimate.
-    fn problems(
-        &self,
-        fitting: &Fitting<'_>,
-        range: Option<(u8, Source)>,
-        rejected: &[usize],
-        has_gyroscope: bool,
-    ) -> Outcome {
-        let data = self.data;
-        let estimate = self.outcome.as_ref().ok();
-        let refit = |poses: &[Pose]| fitting.of(poses).ok();
-        let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
-        let changed = estimate.and_then(|e| nested::finding(&self.poses, e, refit, time_s));
-        let context = checks::Context {
-            data,
-            options: self.options,
-            poses: &self.poses,
-            rejected,
-            lsb_per_g: self.scale.lsb_per_g,
-            board: self.scale.of_board().zip(range),
-            has_gyroscope,
-        };
-        let findings = context.problems(estimate, changed);
-        let mut outcome = Outcome { findings, ..Outcome::default() };
-        outcome.findings.extend(self.problems.iter().cloned());
-        if let Err(refusal) = &self.outcome {
-            let counts = self.unit() == AccelerationUnit::Lsb;
-            let used = self.scale.lsb_per_g.filter(|_| counts);
-            outcome.refuse(context.reason(refusal, used));
-        }
-        outcome
-    }
-
-    /// The calibration as a file.
-    fn file(
-        &self,
-        estimate: &Estimate,
-        range: Option<(u8, Source)>,
-        gyroscope: Option<GyroscopeParameters>,
-    ) -> Calibration {
-        let accelerometer = self.accelerometer(estimate, range);
-        let mut sensor = SensorCalibration::new(self.data.sensor, accelerometer);
-        sensor.gyroscope = gyroscope;
-        Calibration::of(sensor).of_device(self.data.info().device_id)
-    }
-
-    fn unit(&self) -> AccelerationUnit {
-        match self.data.unit {
-            OutputUnit::Counts { .. } => AccelerationUnit::Lsb,
-            OutputUnit::Mps2 => AccelerationUnit::Mps2,
-        }
-    }
-
-    /// What the calibration file holds of the accelerometer.
-    fn accelerometer(
-        &self,
-        estimate: &Estimate,
-        range: Option<(u8, Source)>,
-    ) -> AccelerometerCalibration {
-        let utc_s = self.options.utc_s;
-        let quality = estimate.quality(utc_s, &self.poses);
-        let poses = quality.map_or(0, |quality| quality.terms().poses);
-        AccelerometerCalibration {
-            unit: self.unit(),
-            range_g: range.map(|(g, _)| g),
-            range_source: range.map(|(_, source)| source),
-            sensitivity_lsb_per_g: self.scale.lsb_per_g,
-            zero_count: self.data.info().zero_count,
-            model: estimate.model,
-            quality: quality.as_ref().map(Quality::from),
-            sessions: vec![Session { utc_s, file: Some(self.data.name.to_owned()), poses }],
-        }
-    }
-
-    /// Number of poses left out of the fit, and their indices: of very many, not all are listed.
-    fn rejected(&self) -> (usize, Vec<usize>) {
-        let Ok(estimate) = &self.outcome else { return (0, Vec::new()) };
-        let listed = match self.options.method {
-            MethodChoice::SixPosition => {
-                let all = self.poses.iter().enumerate();
-                all.filter(|(_, pose)| Face::of(pose).is_none()).map(|(k, _)| k).collect()
-            }
-            _ => estimate.rejected.clone(),
-        };
-        (estimate.rejected.len().max(listed.len()), listed)
-    }
-
-    /// The poses that would resolve a refusal or improve the fit, and the number of worthwhile ones.
-    fn advice(&self) -> (Vec<NextPose>, usize) {
-        let worthwhile = match self.options.method {
-            MethodChoice::MultiPosition => Guide::after(&self.poses).worth(|_| true),
-            _ => 0,
-        };
-        let least = match &self.outcome {
-            Ok(_) => 0,
-            // A repeated orientation adds little: its error may be the same.
-            Err(Refusal {
-                reason: Reason::NotObservable | Reason::PoorPrediction { .. }, ..
-            }) => 1,
-            // One that replaces the disturbed pose, and one that identifies it.
-            Err(Refusal { reason: Reason::Contradicted { .. }, .. }) => 2,
-            Err(Refusal { reason: Reason::TooFew { .. }, .. })
-                if self.options.method == MethodChoice::SixPosition =>
-            {
-                let is_missing =
-                    |face: &Face| self.poses.iter().all(|pose| Face::of(pose) != Some(*face));
-                let missing = Face::ALL.into_iter().filter(is_missing);
-                return (missing.map(|face| Orientation::from(face).into()).collect(), worthwhile);
-            }
-            Err(Refusal { reason: Reason::TooFew { have, need }, .. }) => {
-                need.saturating_sub(*have)
-            }
-            Err(_) => return (Vec::new(), worthwhile),
-        };
-        (self.worthwhile(least), worthwhile)
-    }
-
-    /// The orientations that improve the fit of these poses most: all worthwhile ones, at least `least`.
-    fn worthwhile(&self, least: usize) -> Vec<NextPose> {
-        if self.options.method != MethodChoice::MultiPosition {
-            return Vec::new();
-        }
-        let mut guide = Guide::after(&self.poses);
-        let count = guide.worth(|_| true).min(MAX_ADVISED).max(least);
-        let planned = count.max(PLANNED.saturating_sub(self.poses.len()));
-        let next = |remaining| {
-            let next = guide.next_of(remaining, |_| true)?;
-            guide.take(next.up());
-            Some(next.into())
-        };
-        ((planned - count + 1)..=planned).rev().map_while(next).collect()
-    }
-}
-
-/// The terms that were fitted, or were requested.
-fn terms(estimate: Option<&Estimate>, options: &CalibrateOptions) -> Vec<&'static str> {
-    let mut terms = match options.method {
-        MethodChoice::SixPosition => vec!["bias", "scale", "misalignment_6"],
-        MethodChoice::FourAngle | MethodChoice::ThreeAngle => vec!["bias", "scale"],
-        MethodChoice::MultiPosition => vec!["bias", "scale", "misalignment_3"],
-    };
-    let more = estimate.map_or(options.terms, |estimate| estimate.terms);
-    terms.extend(more.iter().map(|term| match term {
-        Term::Drift => "drift",
-        Term::BiasTemperature => "bias_temperature",
-        Term::ScaleTemperature => "scale_temperature",
-        Term::Quadratic => "quadratic",
-    }));
-    terms
 }

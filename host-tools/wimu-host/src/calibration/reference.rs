@@ -1,98 +1,39 @@
 //! Calibration of one stream against another of the same motion, as reference.
 
-use std::fmt;
-
-use serde::Serialize;
+use serde_json::json;
 use wimu_calib::{AxisTransfer, NoiseFrom, Parameter, ReferenceTransfer, Transfer};
 use wimu_model::{
-    Alignment, CalibrationMethod, CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance,
-    ParameterSet, QualityTerms, Sensitivity, TermDeviations,
+    Alignment, CalibrationMethod, CalibrationQuality, ErrorModel, ModelCovariance, QualityTerms,
+    Sensitivity, TermDeviations,
 };
 
 use super::checks::no_sensitivity;
 use super::file::Quality;
 use super::paired::Paired;
 use super::poses::{range, range_note};
-use super::report::{AXES, deviations};
+use super::report::{AXES, CalibrationReport, deviations};
 use super::{
     AccelerometerCalibration, Calibration, Correction, SensorCalibration, Session, Source,
-    parameter_id,
 };
 use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
 use crate::digits::{signed_with_sd, with_sd};
-use crate::document::Document;
 use crate::plural::counted;
 use crate::problem::{Outcome, without_unit};
 use crate::{Code, Problem};
 
-/// An axis in a [`ReferenceReport`].
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct AxisReport {
-    /// Mean of output less reference, m/s².
-    pub offset_m_s2: f64,
-    /// Its standard deviation, 1 σ, m/s².
-    pub offset_sd_m_s2: f64,
-    /// Mean of the reference, m/s²: where the offset holds.
-    pub at_m_s2: f64,
-    /// Motion of the axis, m/s² rms.
-    pub motion_m_s2: f64,
-    /// What is left, mm/s² rms.
-    pub rms_mm_s2: f64,
-    /// Whether bias and scale factor could be told apart.
-    pub separated: bool,
-    /// How the noise was determined, where bias and scale factor were separated: from `neighbours`, samples that have the
-    /// motion in common but not the noise, or not: `bounds` that hold all noise.
-    pub noise_from: Option<&'static str>,
-}
+/// Standard deviations typical of datasheets, for what was not observed.
+const USUAL_SCALE: f64 = 0.03;
+const USUAL_CROSS_AXIS: f64 = 0.02;
 
-/// The report of `wimu calibrate --method reference`.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct ReferenceReport {
-    /// Status and findings.
-    #[serde(skip)]
-    pub outcome: Outcome,
-    /// The data.
-    pub source: String,
-    /// `reference`.
-    pub method: &'static str,
-    /// What was estimated on every axis.
-    pub terms: &'static [&'static str],
-    /// The reference.
-    pub reference: String,
-    /// What was compared with it.
-    pub output: String,
-    /// Number of pairs of samples.
-    pub samples: usize,
-    /// Fewest degrees of freedom of any standard deviation.
-    pub dof: Option<usize>,
-    /// Parameters that were not observed, by name.
-    pub not_observed: Vec<String>,
-    /// X, Y, Z.
-    pub axes: Option<[AxisReport; 3]>,
-    /// Nominal sensitivity, LSB/g; `None` for data in m/s² without a given one.
-    pub sensitivity_lsb_per_g: Option<f64>,
-    /// Source of the full-scale range of the parameters.
-    pub range_source: Option<Source>,
-    /// The error model that maps the reference to the output.
-    pub model: Option<ErrorTerms>,
-    /// Standard deviations, 1 σ, in the model's shape; those typical of datasheets for what was not observed.
-    pub sd: Option<ErrorTerms>,
-    /// Covariance of the bias, then A row by row.
-    pub covariance: Option<[[f64; Parameter::COUNT]; Parameter::COUNT]>,
-    /// The set for a board; `None` without a sensitivity.
-    pub parameters: Option<ParameterSet>,
-    /// Id of that set.
-    pub parameter_id: Option<String>,
-    /// The calibration file.
-    #[serde(skip)]
-    pub file: Option<Calibration>,
-}
+/// In the order of [`Parameter::ALL`].
+type Covariance = [[f64; Parameter::COUNT]; Parameter::COUNT];
 
 /// Bias and scale factor of one stream against the other.
 ///
-/// Their noises are those of neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the parameter set. Data that do not support an answer give a report with status `refused`.
-pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceReport {
+/// Their noises are those of neighbouring samples. `utc_s`, s since 1970 UTC, is stored in the parameter set. Data that do not
+/// support an answer give a report with status `refused`.
+pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> CalibrationReport {
     let mut transfer = ReferenceTransfer::new();
     if data.one_sensor {
         transfer = transfer.of_one_sensor();
@@ -100,110 +41,120 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> ReferenceRep
     for [reference, output] in &data.pairs {
         transfer.push(*reference, *output);
     }
-    let mut report = ReferenceReport {
-        source: data.name.clone(),
-        method: "reference",
-        reference: data.reference.clone(),
-        output: data.output.clone(),
-        samples: data.pairs.len(),
-        sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
-        ..ReferenceReport::default()
-    };
-    let found = match transfer.result() {
-        Ok(found) => found,
-        Err(refusal) => {
-            report.outcome.refuse(refusal.to_string());
-            return report;
-        }
-    };
-    report.dof = Some(dof(&found));
-    report.axes = Some(found.axes.each_ref().map(AxisReport::new));
-    match found.model() {
-        Ok(model) => report.complete(data, &found, model, utc_s),
-        Err(error) => report.outcome.refuse(format!(
+    let mut json = json!({
+        "source": data.name,
+        "method": "reference",
+        "reference": data.reference,
+        "output": data.output,
+        "samples": data.pairs.len(),
+        "sensitivity_lsb_per_g": data.sensitivity.map(Sensitivity::lsb_per_g),
+    });
+    let (mut outcome, mut answer, mut file) = (Outcome::default(), Vec::new(), None);
+    let found = transfer.result().map_err(|refusal| refusal.to_string());
+    if let Ok(found) = &found {
+        json["dof"] = json!(dof(found));
+        json["axes"] = Vec::from_iter(found.axes.iter().map(axis_json)).into();
+    }
+    let fitted = found.and_then(|found| match found.model() {
+        Ok(model) => Ok((found, model)),
+        Err(error) => Err(format!(
             "the result is not possible for an accelerometer: {error}; check the units of both streams"
         )),
+    });
+    let mut charts = Vec::new();
+    match fitted {
+        Ok((found, model)) => {
+            let covariance = covariance(&found);
+            let calibration = calibration(data, &found, model, &covariance, utc_s);
+            json["not_observed"] = json!(not_observed(&found));
+            json["range_source"] = json!(calibration.sensor().accelerometer.range_source);
+            json["model"] = json!(model.terms());
+            json["sd"] = json!(deviations(|k| covariance[k][k].sqrt(), [[0.0; 3]; 2]));
+            json["covariance"] = json!(covariance);
+            outcome.findings = findings(data, &found);
+            answer = lines(&found, &covariance);
+            charts = [0, 1, 2].map(|axis| chart(data, model, axis)).into();
+            file = Some(calibration);
+        }
+        Err(reason) => outcome.refuse(reason),
+    }
+    let (output, reference) = (&data.output, &data.reference);
+    let pairs = data.pairs.len();
+    let head = format!("{}: {output} against {reference}, {pairs} pairs of samples", data.name);
+    let title = format!("{output} against {reference}");
+    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
+    for chart in &charts {
+        report.page.chart(chart);
     }
     report
 }
 
-impl AxisReport {
-    fn new(axis: &AxisTransfer) -> Self {
-        Self {
-            offset_m_s2: axis.offset_mps2,
-            offset_sd_m_s2: axis.offset_sd_mps2,
-            at_m_s2: axis.at_mps2,
-            motion_m_s2: axis.motion_mps2,
-            rms_mm_s2: axis.rms_mps2 * 1e3,
-            separated: axis.line.is_some(),
-            noise_from: axis.line.map(|line| match line.noise_from {
-                NoiseFrom::Neighbours => "neighbours",
-                NoiseFrom::Bounds => "bounds",
-            }),
-        }
-    }
+/// Sensitivity and range of a board that takes the calibration.
+fn board(data: &Paired) -> Option<(Sensitivity, (u8, Source))> {
+    data.sensitivity.zip(range(data.unit, data.range_g, data.sensitivity))
 }
 
-impl ReferenceReport {
-    /// The numbers of the model, and what holds them.
-    fn complete(&mut self, data: &Paired, found: &Transfer, model: ErrorModel, utc_s: Option<u64>) {
-        let is_unobserved = |parameter: &Parameter| match parameter.index() {
-            0..3 => false,
-            of_a => {
-                let line = found.axes[(of_a - 3) / 3].line;
-                line.is_none_or(|line| !line.fitted[(of_a - 3) % 3])
-            }
-        };
-        let unobserved = Parameter::ALL.into_iter().filter(is_unobserved);
-        self.not_observed = unobserved.map(|parameter| parameter.to_string()).collect();
-        self.terms = terms(found);
-        let covariance = covariance(found);
-        self.model = Some(*model.terms());
-        self.sd = Some(deviations(|place| covariance[place][place].sqrt(), [[0.0; 3]; 2]));
-        self.covariance = Some(covariance);
-        let range = range(data.unit, data.range_g, data.sensitivity);
-        let board = data.sensitivity.zip(range);
-        let range = board.map(|(_, range)| range);
-        self.range_source = range.map(|(_, source)| source);
-        let problems = &mut self.outcome.findings;
-        problems.extend(without_unit(data.without_unit, "sample", "left out"));
-        problems.extend(of_axes(found, data.one_sensor));
-        problems.extend(board.and_then(|(sensitivity, range)| range_note(range, sensitivity)));
-        problems.extend(board.is_none().then(no_sensitivity));
-        let quality = quality(found, &covariance, utc_s);
-        let accelerometer = AccelerometerCalibration {
-            unit: data.sensitivity.map_or(AccelerationUnit::Mps2, |_| AccelerationUnit::Lsb),
-            range_g: range.map(|(g, _)| g),
-            range_source: self.range_source,
-            sensitivity_lsb_per_g: self.sensitivity_lsb_per_g,
-            zero_count: None,
-            model,
-            quality: quality.as_ref().map(Quality::from),
-            sessions: vec![Session {
-                utc_s,
-                file: Some(data.name.clone()),
-                poses: quality.map_or(0, |quality| quality.terms().poses),
-            }],
-        };
-        let calibration = Calibration::of(SensorCalibration::new(data.sensor, accelerometer));
-        let calibration = calibration.of_device(data.device_id);
-        self.parameters = calibration.parameters().ok();
-        self.parameter_id = self.parameters.as_ref().map(|set| parameter_id(set).to_string());
-        self.file = Some(calibration);
+fn findings(data: &Paired, found: &Transfer) -> Vec<Problem> {
+    let mut findings = Vec::from_iter(without_unit(data.without_unit, "sample", "left out"));
+    findings.extend(of_axes(found, data.one_sensor));
+    match board(data) {
+        Some((sensitivity, range)) => findings.extend(range_note(range, sensitivity)),
+        None => findings.push(no_sensitivity()),
     }
+    findings
 }
 
-/// What was estimated on every axis.
-fn terms(found: &Transfer) -> &'static [&'static str] {
-    let fitted = |axis: &AxisTransfer| axis.line.map_or([false; 3], |line| line.fitted);
-    if found.axes.iter().all(|axis| fitted(axis) == [true; 3]) {
-        return &["bias", "scale", "misalignment"];
-    }
-    match found.axes.iter().filter(|axis| axis.line.is_some()).count() {
-        3 => &["bias", "scale"],
-        0 => &["offset"],
-        _ => &["bias", "scale where it moved"],
-    }
+fn axis_json(axis: &AxisTransfer) -> serde_json::Value {
+    json!({
+        "offset_m_s2": axis.offset_mps2,
+        "offset_sd_m_s2": axis.offset_sd_mps2,
+        "at_m_s2": axis.at_mps2,
+        "motion_m_s2": axis.motion_mps2,
+        "rms_mm_s2": axis.rms_mps2 * 1e3,
+        "separated": axis.line.is_some(),
+        "noise_from": axis.line.map(|line| match line.noise_from {
+            NoiseFrom::Neighbours => "neighbours",
+            NoiseFrom::Bounds => "bounds",
+        }),
+    })
+}
+
+/// The calibration of the output, in the unit of the reference.
+fn calibration(
+    data: &Paired,
+    found: &Transfer,
+    model: ErrorModel,
+    covariance: &Covariance,
+    utc_s: Option<u64>,
+) -> Calibration {
+    let range = board(data).map(|(_, range)| range);
+    let quality = quality(found, covariance, utc_s);
+    let accelerometer = AccelerometerCalibration {
+        unit: data.sensitivity.map_or(AccelerationUnit::Mps2, |_| AccelerationUnit::Lsb),
+        range_g: range.map(|(g, _)| g),
+        range_source: range.map(|(_, source)| source),
+        sensitivity_lsb_per_g: data.sensitivity.map(Sensitivity::lsb_per_g),
+        zero_count: None,
+        model,
+        quality: quality.as_ref().map(Quality::from),
+        sessions: vec![Session {
+            utc_s,
+            file: Some(data.name.clone()),
+            poses: quality.map_or(0, |quality| quality.terms().poses),
+        }],
+    };
+    let sensor = SensorCalibration::new(data.sensor, accelerometer);
+    Calibration::of(sensor).of_device(data.device_id)
+}
+
+/// The parameters of A that were not fitted, by name.
+fn not_observed(found: &Transfer) -> Vec<String> {
+    let is_unobserved = |parameter: &Parameter| {
+        let Some(k) = parameter.index().checked_sub(3) else { return false };
+        found.axes[k / 3].line.is_none_or(|line| !line.fitted[k % 3])
+    };
+    let unobserved = Parameter::ALL.into_iter().filter(is_unobserved);
+    unobserved.map(|parameter| parameter.to_string()).collect()
 }
 
 /// Cross-axis sensitivities that were seen, and those that the motion does not show.
@@ -219,20 +170,15 @@ fn of_axes(found: &Transfer, one_sensor: bool) -> Vec<Problem> {
                 )));
             }
         }
-        let Some(line) = transfer.line.filter(|_| !one_sensor) else { continue };
-        let unseen: Vec<&str> = AXES
-            .into_iter()
-            .zip(line.fitted)
-            .filter(|(_, seen)| !seen)
-            .map(|(name, _)| name)
-            .collect();
-        if unseen.is_empty() {
+        let Some(line) = transfer.line.filter(|line| !one_sensor && line.fitted != [true; 3])
+        else {
             continue;
-        }
+        };
+        let unseen = AXES.into_iter().zip(line.fitted).filter(|(_, seen)| !seen);
         let text = format!(
             "{} of the reference hardly moved on its own: a cross-axis sensitivity of {axis} to it of 2 % (1 σ) is included in \
              ±",
-            unseen.join(" and ")
+            Vec::from_iter(unseen.map(|(name, _)| name)).join(" and ")
         );
         problems.push(Code::Axes.warning(text).remedy("move it through all orientations"));
     }
@@ -248,7 +194,7 @@ fn dof(found: &Transfer) -> usize {
 
 fn quality(
     found: &Transfer,
-    covariance: &[[f64; Parameter::COUNT]; Parameter::COUNT],
+    covariance: &Covariance,
     utc_s: Option<u64>,
 ) -> Option<CalibrationQuality> {
     let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
@@ -268,12 +214,8 @@ fn quality(
     .ok()
 }
 
-/// Standard deviations typical of datasheets, for what was not observed.
-const USUAL_SCALE: f64 = 0.03;
-const USUAL_CROSS_AXIS: f64 = 0.02;
-
-/// Covariance in the order of [`Parameter::ALL`].
-fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
+/// That of all parameters, those that were not observed included.
+fn covariance(found: &Transfer) -> Covariance {
     let mut covariance = [[0.0; Parameter::COUNT]; Parameter::COUNT];
     for (axis, transfer) in found.axes.iter().enumerate() {
         // b, then the row of A.
@@ -306,77 +248,56 @@ fn covariance(found: &Transfer) -> [[f64; Parameter::COUNT]; Parameter::COUNT] {
     covariance
 }
 
-impl fmt::Display for ReferenceReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "{}: {} against {}, {} pairs of samples",
-            self.source, self.output, self.reference, self.samples,
-        )?;
-        let (Some(axes), Some(model), Some(sd)) = (&self.axes, &self.model, &self.sd) else {
-            return write!(out, "{}", self.outcome);
+/// A line for each axis, those of the noise, and what ± is.
+fn lines(found: &Transfer, covariance: &Covariance) -> Vec<String> {
+    let axis = |(k, axis): (usize, &AxisTransfer)| {
+        let name = AXES[k];
+        let Some(line) = axis.line else {
+            let offset = signed_with_sd(axis.offset_mps2, axis.offset_sd_mps2);
+            return format!(
+                "{name}: offset {offset} m/s² at {:+.2} m/s²; bias and scale factor not separable: specific force varied by \
+                 only {:.2} m/s² rms",
+                axis.at_mps2, axis.motion_mps2
+            );
         };
-        let noise = |report: &AxisReport| match report.noise_from {
-            Some("bounds") => "noise unknown, ± covers all on either side: move more slowly",
-            _ => "noise estimated from neighbouring samples",
-        };
-        let mut noises: Vec<(&str, Vec<&str>)> = Vec::new();
-        for (axis, (name, report)) in AXES.into_iter().zip(axes).enumerate() {
-            if report.separated {
-                let source = noise(report);
-                match noises.iter_mut().find(|(known, _)| *known == source) {
-                    Some((_, names)) => names.push(name),
-                    None => noises.push((source, vec![name])),
-                }
-                writeln!(
-                    out,
-                    "{name}: bias {} m/s², scale factor {}; residual {:.2} mm/s² rms",
-                    signed_with_sd(model.bias_mps2[axis], sd.bias_mps2[axis]),
-                    with_sd(model.matrix[axis][axis], sd.matrix[axis][axis]),
-                    report.rms_mm_s2,
-                )?;
-            } else {
-                writeln!(
-                    out,
-                    "{name}: offset {} m/s² at {:+.2} m/s²; bias and scale factor not separable: specific force varied by only \
-                     {:.2} m/s² rms",
-                    signed_with_sd(report.offset_m_s2, report.offset_sd_m_s2),
-                    report.at_m_s2,
-                    report.motion_m_s2
-                )?;
-            }
+        let [bias_sd, scale_sd] = [k, 3 + 4 * k].map(|place| covariance[place][place].sqrt());
+        format!(
+            "{name}: bias {} m/s², scale factor {}; residual {:.2} mm/s² rms",
+            signed_with_sd(line.bias_mps2, bias_sd),
+            with_sd(line.row[k], scale_sd),
+            axis.rms_mps2 * 1e3,
+        )
+    };
+    let mut lines = Vec::from_iter(found.axes.iter().enumerate().map(axis));
+    for (from, text) in [
+        (NoiseFrom::Neighbours, "noise estimated from neighbouring samples"),
+        (NoiseFrom::Bounds, "noise unknown, ± covers all on either side: move more slowly"),
+    ] {
+        let is_so = |axis: &AxisTransfer| axis.line.is_some_and(|line| line.noise_from == from);
+        let axes = AXES.into_iter().zip(&found.axes).filter(|(_, axis)| is_so(axis));
+        let names = Vec::from_iter(axes.map(|(name, _)| name));
+        if !names.is_empty() {
+            lines.push(format!("{}: {text}", names.join(", ")));
         }
-        for (source, names) in &noises {
-            writeln!(out, "{}: {source}", names.join(", "))?;
-        }
-        write!(out, "± is 1 σ with {} of freedom", counted(self.dof.unwrap_or(0), "degree"))
     }
+    lines.push(format!("± is 1 σ with {} of freedom", counted(dof(found), "degree")));
+    lines
 }
 
-impl ReferenceReport {
-    /// A page: the difference of each axis from the reference in `data`, before and after correction.
-    pub fn page(&self, data: &Paired) -> Document {
-        let title = format!("{} against {}", self.output, self.reference);
-        let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
-        let Some(model) = self.model.and_then(|terms| ErrorModel::new(terms).ok()) else {
-            return page;
+/// The difference of an axis from the reference, before and after correction.
+fn chart(data: &Paired, model: ErrorModel, axis: usize) -> Chart {
+    let correction = Correction::of_model(model, 1.0, Alignment::IDENTITY.matrix());
+    let over_time = |of: &dyn Fn([f64; 3]) -> [f64; 3]| {
+        let pairs = data.pairs.iter().enumerate();
+        let point = |(k, [reference, output]): (usize, &[[f64; 3]; 2])| {
+            (k as f64 / data.rate_hz, (of(*output)[axis] - reference[axis]) * 1e3)
         };
-        let correction = Correction::of_model(model, 1.0, Alignment::IDENTITY.matrix());
-        for (axis, name) in AXES.into_iter().enumerate() {
-            let over_time = |of: &dyn Fn([f64; 3]) -> [f64; 3]| {
-                let pairs = data.pairs.iter().enumerate();
-                let point = |(k, [reference, output]): (usize, &[[f64; 3]; 2])| {
-                    (k as f64 / data.rate_hz, (of(*output)[axis] - reference[axis]) * 1e3)
-                };
-                pairs.map(point).collect()
-            };
-            let series = vec![
-                Series::line("before correction", over_time(&|output| output)),
-                Series::line("after correction", over_time(&|raw| correction.sample(raw, None))),
-            ];
-            let title = format!("{name}: output less reference");
-            page.chart(&Chart::new(title, "time, s", "mm/s²", series));
-        }
-        page
-    }
+        pairs.map(point).collect()
+    };
+    let series = vec![
+        Series::line("before correction", over_time(&|output| output)),
+        Series::line("after correction", over_time(&|raw| correction.sample(raw, None))),
+    ];
+    let title = format!("{}: output less reference", AXES[axis]);
+    Chart::new(title, "time, s", "mm/s²", series).decimated()
 }

@@ -1,69 +1,20 @@
 //! Check of a stored calibration against later rests, and its update.
 
-use std::fmt;
+use serde_json::json;
+use wimu_calib::{Ageing, Check, Parameter, Pose, SelfCheck};
+use wimu_model::{CalibrationQuality, ModelCovariance, ParameterSet, QualityTerms};
 
+use super::poses::{Poses, rms};
+use super::report::{AXES, CalibrationReport};
 use super::{CalibrateOptions, Calibration, parameter_id};
-use serde::Serialize;
-use wimu_calib::{Ageing, Parameter, Pose, SelfCheck};
-use wimu_model::{
-    CalibrationQuality, ErrorModel, ErrorTerms, ModelCovariance, ParameterSet, QualityTerms,
-};
-
-use super::poses::Poses;
 use crate::chart::{Band, Chart, Series};
 use crate::digits::signed_with_sd;
-use crate::document::Document;
 use crate::problem::Outcome;
 use crate::recording::Samples;
-use crate::{Code, Problem, Result};
-
-/// A rest compared with the stored calibration.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct RestReport {
-    /// Its first row or sample, from 0.
-    pub first_sample: u64,
-    /// |f| − g before the rest was used, mm/s².
-    pub residual_mm_s2: f64,
-    /// Its standard deviation if the calibration is still valid, mm/s².
-    pub expected_sd_mm_s2: f64,
-    /// Whether it agrees with the calibration: a valid one is contradicted once in 1000 rests.
-    pub holds: bool,
-}
-
-/// The report of `wimu calibrate --method update`.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct UpdateReport {
-    /// Status and findings.
-    #[serde(skip)]
-    pub outcome: Outcome,
-    /// The data.
-    pub source: String,
-    /// `update`.
-    pub method: &'static str,
-    /// Id of the stored calibration.
-    pub stored_id: String,
-    /// Gravity, m/s².
-    pub gravity_m_s2: f64,
-    /// Number of rests found or given.
-    pub poses: usize,
-    /// Number of rests that contradict the calibration; they are not used.
-    pub contradictions: u32,
-    /// The rests, in order.
-    pub rests: Vec<RestReport>,
-    /// Change of the bias, m/s².
-    pub bias_change_m_s2: Option<[f64; 3]>,
-    /// The updated error model.
-    pub model: Option<ErrorTerms>,
-    /// Standard deviations of the bias, then A row by row.
-    pub sd: Option<[f64; Parameter::COUNT]>,
-    /// The set for a board.
-    pub parameters: Option<ParameterSet>,
-    /// Id of that set.
-    pub parameter_id: Option<String>,
-}
+use crate::{Code, Result};
 
 /// Checks a calibration with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
-/// drifted by [`Ageing`] since it was made.
+/// drifted by [`Ageing`] since it was made. `utc_s`, s since 1970 UTC, is the time of the update.
 ///
 /// # Errors
 /// `usage` when gravity is out of bounds; `data_refused` when the calibration has no quality information; those of
@@ -73,7 +24,7 @@ pub fn update(
     calibration: &Calibration,
     gravity_mps2: Option<f64>,
     utc_s: Option<u64>,
-) -> Result<UpdateReport> {
+) -> Result<CalibrationReport> {
     let (gravity, _) =
         CalibrateOptions { gravity_mps2, ..CalibrateOptions::default() }.gravity()?;
     let stored = &calibration.parameters()?;
@@ -87,167 +38,132 @@ pub fn update(
     let correction = calibration.sensor().compile(data.info());
     let scale = correction.map_err(|error| error.at(data.name))?.mps2_per_unit();
     let found = Poses::find(data, scale).poses;
-    let rest = |pose: &Pose| {
-        let check = check.push(pose)?;
-        Some(RestReport {
-            first_sample: pose.first_sample,
-            residual_mm_s2: check.residual_mps2 * 1e3,
-            expected_sd_mm_s2: check.expected_sd_mps2 * 1e3,
-            holds: check.holds,
-        })
-    };
-    let rests: Vec<RestReport> = found.iter().filter_map(rest).collect();
-    let mut report = UpdateReport {
-        outcome: Outcome { findings: contradicting(&rests), ..Outcome::default() },
-        source: data.name.to_owned(),
-        method: "update",
-        stored_id: parameter_id(stored).to_string(),
-        gravity_m_s2: gravity.mps2(),
-        poses: found.len(),
-        contradictions: check.contradictions(),
-        rests,
-        ..UpdateReport::default()
-    };
-    match (report.refusal(), check.model()) {
-        (Some(reason), _) => report.outcome.refuse(reason),
-        (None, Ok(model)) => report.complete(stored, quality, &check, model, utc_s),
+    let rests: Vec<(&Pose, Check)> =
+        found.iter().filter_map(|pose| Some((pose, check.push(pose)?))).collect();
+    let mut outcome = Outcome::default();
+    for (k, (_, rest)) in rests.iter().enumerate().filter(|(_, (_, rest))| !rest.holds) {
+        let [residual, sd] = [rest.residual_mps2, rest.expected_sd_mps2].map(|mps2| mps2 * 1e3);
+        outcome.findings.push(Code::PosesLeftOut.warning(format!(
+            "rest {k} (from 0) contradicts the calibration: |f| − g {residual:+.2} mm/s², {sd:.2} expected (1 σ)"
+        )));
+    }
+    let (stored_id, rests_found) = (parameter_id(stored).to_string(), found.len());
+    let name = data.name;
+    let head = format!(
+        "{name}: {rests_found} rests against calibration {stored_id}, g = {} m/s²",
+        gravity.mps2()
+    );
+    let mut json = json!({
+        "source": name,
+        "method": "update",
+        "stored_id": stored_id,
+        "gravity_m_s2": gravity.mps2(),
+        "poses": rests_found,
+        "contradictions": check.contradictions(),
+        "rests": Vec::from_iter(rests.iter().map(|(pose, rest)| json!({
+            "first_sample": pose.first_sample,
+            "residual_mm_s2": rest.residual_mps2 * 1e3,
+            "expected_sd_mm_s2": rest.expected_sd_mps2 * 1e3,
+            "holds": rest.holds,
+        }))),
+    });
+    let (mut answer, mut file) = (Vec::new(), None);
+    match (refusal(rests_found, &rests), check.model()) {
+        (Some(reason), _) => outcome.refuse(reason),
         (None, Err(error)) => {
-            let reason = format!("the update is not possible for an accelerometer: {error}");
-            report.outcome.refuse(reason);
+            outcome.refuse(format!("the update is not possible for an accelerometer: {error}"));
         }
+        (None, Ok(model)) => {
+            let sd = Parameter::ALL.map(|parameter| check.covariance().sd(parameter));
+            let [before, now] = [&stored.model, &model].map(|model| model.terms().bias_mps2);
+            let change = [0, 1, 2].map(|axis| now[axis] - before[axis]);
+            json["bias_change_m_s2"] = json!(change);
+            json["model"] = json!(model.terms());
+            json["sd"] = json!(sd);
+            answer.push(change_of_bias(change, &sd));
+            let rms_mps2 = rms(rests.iter().map(|(_, rest)| rest.residual_mps2));
+            let quality = updated(quality, &check, rms_mps2, utc_s);
+            let set = ParameterSet { model, quality, ..*stored };
+            file = Some(calibration.after(&set, name).of_device(data.info().device_id));
+        }
+    }
+    let title = format!("Calibration {stored_id} against {name}");
+    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
+    if !rests.is_empty() {
+        report.page.chart(&chart(&rests));
     }
     Ok(report)
 }
 
-impl UpdateReport {
-    /// Why the rests do not support an update.
-    fn refusal(&self) -> Option<String> {
-        let Self { poses, contradictions, .. } = *self;
-        let unusable = poses - self.rests.len();
-        // One of ten may be disturbed.
-        let allowed = poses / 10;
-        if poses == 0 {
-            return Some(
-                "no rest was found: hold the sensor still for two seconds or more".to_owned(),
-            );
-        }
-        if unusable > allowed {
-            return Some(format!(
-                "{unusable} of {poses} rests differ too much from gravity: check that it is this sensor, and the unit"
-            ));
-        }
-        if let (Some(alone), true) = (lone(&self.rests), allowed == 0) {
-            let rest = &self.rests[alone];
-            return Some(format!(
-                "rest {alone} (from 0, at sample {}) is the only one of {poses} that contradicts the calibration, by {:+.0} \
-                 mm/s²: repeat that position, and calibrate again if it still does",
-                rest.first_sample, rest.residual_mm_s2
-            ));
-        }
-        (contradictions as usize > allowed).then(|| {
-            format!(
-                "the calibration is no longer valid: {contradictions} of {poses} rests contradict it; calibrate again"
-            )
-        })
+/// Why the rests do not support an update.
+fn refusal(found: usize, rests: &[(&Pose, Check)]) -> Option<String> {
+    if found == 0 {
+        return Some("no rest was found: hold the sensor still for two seconds or more".to_owned());
     }
-
-    /// Fills in the updated calibration.
-    fn complete(
-        &mut self,
-        stored: &ParameterSet,
-        quality: &CalibrationQuality,
-        check: &SelfCheck,
-        model: ErrorModel,
-        utc_s: Option<u64>,
-    ) {
-        let covariance = check.covariance();
-        let squares: f64 = self.rests.iter().map(|r| r.residual_mm_s2.powi(2)).sum();
-        let rms_mps2 = (squares / self.rests.len() as f64).sqrt() * 1e-3;
-        let terms = QualityTerms {
-            utc_s: utc_s.or(quality.terms().utc_s),
-            poses: quality.terms().poses.saturating_add(check.poses()),
-            rms_mps2: rms_mps2 as f32,
-            loo_rms_mps2: None,
-            covariance: ModelCovariance::from_matrix(covariance.matrix())
-                .unwrap_or(quality.terms().covariance),
-            ..*quality.terms()
-        };
-        let set = ParameterSet { model, quality: CalibrationQuality::new(terms).ok(), ..*stored };
-        let [before, now] = [&stored.model, &model].map(|model| model.terms().bias_mps2);
-        self.bias_change_m_s2 = Some([0, 1, 2].map(|axis| now[axis] - before[axis]));
-        self.model = Some(*model.terms());
-        self.sd = Some(Parameter::ALL.map(|parameter| covariance.sd(parameter)));
-        self.parameter_id = Some(parameter_id(&set).to_string());
-        self.parameters = Some(set);
+    let unusable = found - rests.len();
+    // One of ten may be disturbed.
+    let allowed = found / 10;
+    if unusable > allowed {
+        return Some(format!(
+            "{unusable} of {found} rests differ too much from gravity: check that it is this sensor, and the unit"
+        ));
     }
+    let contradicting = rests.iter().enumerate().filter(|(_, (_, rest))| !rest.holds);
+    let contradicting = Vec::from_iter(contradicting);
+    if contradicting.len() <= allowed {
+        return None;
+    }
+    if let ([(k, (pose, rest))], true) = (&contradicting[..], rests.len() > 2) {
+        return Some(format!(
+            "rest {k} (from 0, at sample {}) is the only one of {found} that contradicts the calibration, by {:+.0} mm/s²: \
+             repeat that position, and calibrate again if it still does",
+            pose.first_sample,
+            rest.residual_mps2 * 1e3
+        ));
+    }
+    Some(format!(
+        "the calibration is no longer valid: {} of {found} rests contradict it; calibrate again",
+        contradicting.len()
+    ))
 }
 
-/// The rests that contradict the calibration.
-fn contradicting(rests: &[RestReport]) -> Vec<Problem> {
-    let bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
-    let finding = |(k, rest): (usize, &RestReport)| {
-        Code::PosesLeftOut.warning(format!(
-            "rest {k} (from 0) contradicts the calibration: |f| − g {:+.2} mm/s², {:.2} expected (1 σ)",
-            rest.residual_mm_s2, rest.expected_sd_mm_s2
-        ))
+fn change_of_bias(change: [f64; 3], sd: &[f64; Parameter::COUNT]) -> String {
+    let axis = |k: usize| format!("{} {}", AXES[k], signed_with_sd(change[k] * 1e3, sd[k] * 1e3));
+    let changes = [0, 1, 2].map(axis).join(", ");
+    let significant = (0..3).any(|k| change[k].abs() > 2.0 * sd[k]);
+    let remark =
+        if significant { "; it is significant (2 σ): use the updated file (-o)" } else { "" };
+    format!("the calibration is still valid; change of the bias, mm/s² (1 σ): {changes}{remark}")
+}
+
+/// The quality information of the updated model.
+fn updated(
+    stored: &CalibrationQuality,
+    check: &SelfCheck,
+    rms_mps2: Option<f64>,
+    utc_s: Option<u64>,
+) -> Option<CalibrationQuality> {
+    let stored = stored.terms();
+    let covariance = ModelCovariance::from_matrix(check.covariance().matrix());
+    let terms = QualityTerms {
+        utc_s: utc_s.or(stored.utc_s),
+        poses: stored.poses.saturating_add(check.poses()),
+        rms_mps2: rms_mps2.unwrap_or_default() as f32,
+        loo_rms_mps2: None,
+        covariance: covariance.unwrap_or(stored.covariance),
+        ..*stored
     };
-    bad.map(finding).collect()
+    CalibrationQuality::new(terms).ok()
 }
 
-/// The rest that contradicts, if it is the only one of three or more.
-fn lone(rests: &[RestReport]) -> Option<usize> {
-    let mut bad = (0..).zip(rests).filter(|(_, rest)| !rest.holds);
-    let (alone, _) = bad.next()?;
-    (bad.next().is_none() && rests.len() > 2).then_some(alone)
-}
-
-impl fmt::Display for UpdateReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "{}: {} rests against calibration {}, g = {} m/s²",
-            self.source, self.poses, self.stored_id, self.gravity_m_s2
-        )?;
-        let Some(change) = &self.bias_change_m_s2 else {
-            return write!(out, "{}", self.outcome);
-        };
-        let sd = self.sd.unwrap_or_default();
-        let axis = |k: usize| signed_with_sd(change[k] * 1e3, sd[k] * 1e3);
-        let significant = (0..3).any(|k| change[k].abs() > 2.0 * sd[k]);
-        write!(
-            out,
-            "the calibration is still valid; change of the bias, mm/s² (1 σ): X {}, Y {}, Z {}{}",
-            axis(0),
-            axis(1),
-            axis(2),
-            if significant { "; it is significant (2 σ): use the updated file (-o)" } else { "" }
-        )
-    }
-}
-
-impl UpdateReport {
-    /// A page: |f| − g of each rest beside what the stored calibration explains.
-    pub fn page(&self) -> Document {
-        let title = format!("Calibration {} against {}", self.stored_id, self.source);
-        let mut page = super::report::page(title, &self.outcome, &self.to_string(), 1);
-        if self.rests.is_empty() {
-            return page;
-        }
-        let numbered = (0_u32..).map(f64::from).zip(&self.rests);
-        let residuals = numbered.clone().map(|(k, rest)| (k, rest.residual_mm_s2)).collect();
-        let expected = numbered.map(|(k, rest)| (k, rest.expected_sd_mm_s2));
-        let points: Vec<_> = expected.map(|(k, sd)| (k, -sd, sd)).collect();
-        // Symmetric, and wide enough for all.
-        let sizes = (self.rests.iter()).flat_map(|r| [r.residual_mm_s2.abs(), r.expected_sd_mm_s2]);
-        let half = 1.1 * sizes.fold(0.0, f64::max);
-        let zero = points.iter().map(|(k, ..)| (*k, 0.0)).collect();
-        let series = vec![Series::line("expected, ± 1 σ", zero), Series::dots("rest", residuals)];
-        let title = "|f| − g of each rest under the stored calibration";
-        page.chart(&Chart {
-            y_range: Some((-half, half)),
-            bands: vec![Band { series: 0, points }],
-            ..Chart::new(title, "rest", "mm/s²", series)
-        });
-        page
-    }
+/// |f| − g of each rest beside what the stored calibration explains.
+fn chart(rests: &[(&Pose, Check)]) -> Chart {
+    let numbered = || (0_u32..).map(f64::from).zip(rests.iter().map(|(_, rest)| rest));
+    let residuals = numbered().map(|(k, rest)| (k, rest.residual_mps2 * 1e3)).collect();
+    let expected = numbered().map(|(k, rest)| (k, rest.expected_sd_mps2 * 1e3));
+    let points: Vec<_> = expected.map(|(k, sd)| (k, -sd, sd)).collect();
+    let zero = points.iter().map(|(k, ..)| (*k, 0.0)).collect();
+    let series = vec![Series::line("expected, ± 1 σ", zero), Series::dots("rest", residuals)];
+    let title = "|f| − g of each rest under the stored calibration";
+    Chart { bands: vec![Band { series: 0, points }], ..Chart::new(title, "rest", "mm/s²", series) }
 }

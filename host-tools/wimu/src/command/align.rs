@@ -57,18 +57,12 @@ pub fn run(arguments: &Align, output: &Output) -> Result<u8> {
     )?;
     let samples = data.samples(Selection::default())?;
     let report = alignment::alignment(&samples, &calibration, &options)?;
-    let file = |after| calibration.after(after, &report.source).of_device(samples.info().device_id);
-    finish(
-        &report,
-        &report.outcome,
-        arguments.output.as_deref(),
-        report.parameters.as_ref().map(file),
-        output,
-        || match (&mut client, &report.parameters) {
+    finish(&report, arguments.output.as_deref(), output, || {
+        match (&mut client, &report.parameters) {
             (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
             _ => Ok(()),
-        },
-    )
+        }
+    })
 }
 
 /// Listens until the alignment is known, the time is over, or Ctrl-C.
@@ -106,8 +100,8 @@ fn listen(
         let data = Recording::of_link(&record, &name)?;
         let samples = data.samples(Selection::default())?;
         let report = alignment::alignment(&samples, calibration, options)?;
-        if report.rests > asked {
-            asked = report.rests;
+        if report.poses.len() > asked {
+            asked = report.poses.len();
             ask(asked);
         }
         Ok(report.outcome.exit_code() != 0)

@@ -4,17 +4,15 @@ mod array;
 mod guide;
 mod magnetometer;
 
-use std::fmt::Display;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::Serialize;
-use wimu_host::calibration::{self, CalibrateOptions, Calibration, MethodChoice, Paired};
+use wimu_host::calibration::{
+    self, CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Paired,
+};
 use wimu_host::capture;
-use wimu_host::document::Document;
 use wimu_host::formats::{self, ReadOptions};
-use wimu_host::problem::Outcome;
-use wimu_host::recording::{Recording, Selection};
+use wimu_host::recording::{Recording, Samples, Selection};
 use wimu_host::{Code, Input, Problem, Result};
 use wimu_model::Sensitivity;
 
@@ -39,21 +37,18 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     }
 }
 
-/// Prints a report with this outcome, writes the calibration to `path` if there is one, and does the rest. Returns the
-/// exit code.
-pub fn finish<R: Display + Serialize>(
-    report: &R,
-    outcome: &Outcome,
-    path: Option<&Path>,
-    file: Option<Calibration>,
+/// Prints a report, writes its calibration to `file`, and does the rest. Returns the exit code.
+pub fn finish(
+    report: &CalibrationReport,
+    file: Option<&Path>,
     output: &Output,
     rest: impl FnOnce() -> Result<()>,
 ) -> Result<u8> {
     output.print(report.to_string());
-    output.findings(&outcome.findings);
-    let exit_code = outcome.exit_code();
-    if let (0, Some(path), Some(file)) = (exit_code, path, file) {
-        file.write(path)?;
+    output.findings(&report.outcome.findings);
+    let exit_code = report.outcome.exit_code();
+    if let (0, Some(path), Some(calibration)) = (exit_code, file, &report.file) {
+        calibration.write(path)?;
         output.print(format!("wrote {}", path.display()));
     }
     rest()?;
@@ -61,17 +56,19 @@ pub fn finish<R: Display + Serialize>(
     Ok(exit_code)
 }
 
-/// Writes the report, if one was asked for.
-fn write_page(
+/// The same, with the page of the report if it was asked for, which shows `samples`.
+fn finish_with_page(
     arguments: &Calibrate,
-    page: impl FnOnce() -> Document,
+    report: &CalibrationReport,
+    samples: Option<&Samples<'_>>,
     output: &Output,
-) -> Result<()> {
-    if let Some(path) = &arguments.report {
-        page().write(path)?;
+) -> Result<u8> {
+    finish(report, arguments.output.as_deref(), output, || {
+        let Some(path) = &arguments.report else { return Ok(()) };
+        samples.map_or(report.page.clone(), |samples| report.page_with(samples)).write(path)?;
         output.print(format!("wrote {}", path.display()));
-    }
-    Ok(())
+        Ok(())
+    })
 }
 
 /// Reads the samples of `input` and the calibration that belongs to them: `given`, else that of the recording or of the
@@ -149,10 +146,7 @@ fn with_gravity(arguments: &Calibrate, output: &Output) -> Result<u8> {
     };
     let samples = data.samples(selection)?;
     let report = calibration::calibrate(&samples, &options)?;
-    let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(&samples), output)
-    })
+    finish_with_page(arguments, &report, Some(&samples), output)
 }
 
 /// Calibrates with several sessions of one sensor.
@@ -166,10 +160,7 @@ fn several(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let data: Vec<_> =
         sessions.iter().map(|session| session.samples(selection)).collect::<Result<_>>()?;
     let report = calibration::calibrate_several(&data, &options)?;
-    let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(), output)
-    })
+    finish_with_page(arguments, &report, None, output)
 }
 
 /// Calibrates one stream with another of the same motion.
@@ -193,10 +184,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
         }
     };
     let report = calibration::compare_with_reference(&data, utc_s());
-    let (path, file) = (arguments.output.as_deref(), report.file.clone());
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(&data), output)
-    })
+    finish_with_page(arguments, &report, None, output)
 }
 
 /// Checks and updates a stored calibration with later rests.
@@ -225,12 +213,7 @@ fn update(arguments: &Calibrate, output: &Output) -> Result<u8> {
     )?;
     let samples = data.samples(selection)?;
     let report = calibration::update(&samples, &calibration, arguments.gravity, utc_s())?;
-    let file = |set| calibration.after(set, &report.source).of_device(samples.info().device_id);
-    let file = report.parameters.as_ref().map(file);
-    let path = arguments.output.as_deref();
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(), output)
-    })
+    finish_with_page(arguments, &report, None, output)
 }
 
 /// Now, s since 1970 UTC.

@@ -112,10 +112,11 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
     let [before, after] = outcome.tilts_rms_mps2().map(|rms| rms * 1e3);
     let slide = &outcome.slide;
     let replayed: u64 = outcome.replays.iter().map(|r| r.corrected_compared).sum();
-    let fit = outcome.report.fit.as_ref();
-    let worst_bias_mg = fit.map_or(0.0, |fit| {
+    let estimate = outcome.report.estimate.as_ref();
+    let worst_bias_mg = estimate.map_or(0.0, |estimate| {
+        let found = estimate.model.terms().bias_mps2;
         (0..3)
-            .map(|axis| mg(fit.model.bias_mps2[axis]) - mg(hidden.bias_mps2[axis]))
+            .map(|axis| mg(found[axis]) - mg(hidden.bias_mps2[axis]))
             .fold(0.0_f64, |worst, error| worst.max(error.abs()))
     });
     let six = SixAxes::of(outcome);
@@ -141,11 +142,10 @@ fn story(outcome: &Outcome, links: &Comparison, seed: u64) -> Vec<String> {
         ),
         format!(
             "3 record     {} samples while the board is held in {} poses{}",
-            outcome.samples, outcome.report.poses, six.rotations
+            outcome.samples, outcome.report.poses.len(), six.rotations
         ),
         format!(
-            "4 calibrate  9 parameters from gravity alone ({}); bias error {worst_bias_mg:.2} mg{}",
-            outcome.report.terms.join(", ").replace("misalignment_3", "3 misalignments"),
+            "4 calibrate  9 parameters from gravity alone (bias, scale, 3 misalignments); bias error {worst_bias_mg:.2} mg{}",
             six.calibrated
         ),
         format!(
@@ -301,19 +301,17 @@ fn report(outcome: &Outcome, charts: &[(&str, Chart)], story: &[String]) -> Docu
     for (_, chart) in charts {
         report.chart(chart);
     }
-    if let Some(fit) = &outcome.report.fit {
-        let truth = outcome.truth.model.terms();
+    if let Some(estimate) = &outcome.report.estimate {
+        let (truth, found) = (outcome.truth.model.terms(), estimate.model.terms());
+        let sd = estimate.sd();
         let rows: Vec<Vec<String>> = (0..3)
             .map(|axis| {
                 vec![
                     ["X", "Y", "Z"][axis].to_owned(),
                     format!("{:+.4}", truth.bias_mps2[axis]),
-                    format!("{:+.4} ± {:.4}", fit.model.bias_mps2[axis], fit.sd.bias_mps2[axis]),
+                    format!("{:+.4} ± {:.4}", found.bias_mps2[axis], sd.bias_mps2[axis]),
                     format!("{:.5}", truth.matrix[axis][axis]),
-                    format!(
-                        "{:.5} ± {:.5}",
-                        fit.model.matrix[axis][axis], fit.sd.matrix[axis][axis]
-                    ),
+                    format!("{:.5} ± {:.5}", found.matrix[axis][axis], sd.matrix[axis][axis]),
                 ]
             })
             .collect();

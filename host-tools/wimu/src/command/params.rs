@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Serialize;
-use wimu_host::calibration::{self, Calibration, Change, Difference};
+use wimu_host::calibration::{self, Calibration, Difference};
 use wimu_host::{Code, Result};
 use wimu_model::{ParameterId, ParameterSet};
 
@@ -86,7 +86,7 @@ pub fn push(client: &mut Connection, set: &ParameterSet, output: &Output) -> Res
 fn print_difference(before: Option<&ParameterSet>, after: &ParameterSet, output: &Output) {
     let difference = Difference::of(before, after);
     output.print(&difference.result);
-    for Change { name, before, after, .. } in &difference.changed {
+    for [name, before, after] in &difference.changed {
         output.print(format!("{name:24} {before} → {after}"));
     }
     difference.notes.iter().for_each(|note| output.print(note));

@@ -215,6 +215,7 @@ const FILTERS: &[(&str, &str)] = &[
     (r"\b[0-9a-f]{16}\b", "DEVICE"),
     (r"\b[0-9a-f]{8}\b", "ID"),
     (r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?( UTC|Z)?", "TIME"),
+    (r"[A-Z][a-z]{2}, \d\d [A-Z][a-z]{2} \d{4} \d\d:\d\d:\d\d GMT", "TIME"),
     (r"\(os error \d+\)", "(os error N)"),
 ];
 

@@ -46,13 +46,9 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -
         }
         guided.calibrate()?;
         let Some(report) = guided.report() else { return Ok(0) };
-        let file = report.file.clone();
-        let path = arguments.output.as_deref();
-        let code = super::finish(report, &report.outcome, path, file, output, || {
-            let data = guided.recording()?;
-            let samples = data.samples(Selection::default())?;
-            super::write_page(arguments, || report.page(&samples), output)
-        })?;
+        let data = guided.recording()?;
+        let samples = data.samples(Selection::default())?;
+        let code = super::finish_with_page(arguments, report, Some(&samples), output)?;
         let answer =
             if arguments.push { Answer::Push } else { question(&lines, code == 0, output)? };
         if answer == Answer::More {
@@ -63,7 +59,7 @@ pub fn run(arguments: &Calibrate, options: &CalibrateOptions, output: &Output) -
         if let (true, Some(set)) = (wants_push, &report.parameters) {
             params::push(&mut client, set, output)?;
         }
-        if wants_push || (code == 0 && path.is_some()) {
+        if wants_push || (code == 0 && arguments.output.is_some()) {
             guided.forget_poses();
         }
         return Ok(code);

@@ -5,7 +5,7 @@ use wimu_host::{Code, Result};
 use wimu_model::ErrorModel;
 
 use super::guide::{begin, collect};
-use super::{finish, read_calibrated, reading, write_page};
+use super::{finish_with_page, read_calibrated, reading};
 use crate::arguments::Calibrate;
 use crate::command::params;
 use crate::output::Output;
@@ -29,16 +29,11 @@ pub fn run(arguments: &Calibrate, output: &Output) -> Result<u8> {
     )?;
     let data = data.samples(selection)?;
     let report = calibrate_magnetometer(&data, &calibration, arguments.dip.map(f64::to_radians))?;
-    let file = |after| calibration.after(after, &report.source).of_device(data.info().device_id);
-    let file = report.parameters.as_ref().map(file);
-    let path = arguments.output.as_deref();
-    finish(&report, &report.outcome, path, file, output, || {
-        write_page(arguments, || report.page(), output)?;
-        match (&mut client, &report.parameters) {
-            (Some(client), Some(set)) if arguments.push => params::push(client, set, output),
-            _ => Ok(()),
-        }
-    })
+    let code = finish_with_page(arguments, &report, None, output)?;
+    if let (Some(client), Some(set), true) = (&mut client, &report.parameters, arguments.push) {
+        params::push(client, set, output)?;
+    }
+    Ok(code)
 }
 
 /// The accelerometer's calibration. Without one, its bias tilts the measured gravity and changes the dip.

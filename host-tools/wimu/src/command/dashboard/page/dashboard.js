@@ -648,7 +648,7 @@ function parametersCard(board) {
     if (!found) return;
     text(verdict, [found.result, ...found.notes].join("; "));
     change.element.hidden = !found.changed.length;
-    change.rows(found.changed.map((one) => [one.name, one.before, one.after]));
+    change.rows(found.changed);
     push.disabled = false;
   } });
   const push = el("button", { textContent: "Push to the board", className: "main", disabled: true, onclick: () => board.ask({ do: "push_file", file: choose.value }) });

@@ -2,7 +2,6 @@
 
 mod noise;
 
-use std::fmt::Write;
 use std::path::Path;
 
 use super::{Calibration, SensorCalibration, Source, parameter_id};
@@ -81,19 +80,27 @@ impl CalibrationExport {
 
     /// The calibration as a text for `target`. Only Kalibr's has the noise.
     pub fn text(&self, target: ExportTarget, noise: Option<KalibrNoise>) -> String {
-        match target {
-            ExportTarget::C => {
-                self.fill(include_str!("export/wimu_calibration.h"), " * ", ["{", ", ", "}"])
-            }
+        // The beginning of a comment; what opens a list, separates the rows of a matrix, and closes a list.
+        let (template, comment, list) = match target {
+            ExportTarget::C => (include_str!("export/wimu_calibration.h"), " * ", ["{", ", ", "}"]),
             ExportTarget::Numpy => {
-                self.fill(include_str!("export/wimu_calibration.py"), "", ["[", ", ", "]"])
+                (include_str!("export/wimu_calibration.py"), "", ["[", ", ", "]"])
             }
-            ExportTarget::Matlab => {
-                self.fill(include_str!("export/wimu_correct.m"), "% ", ["[", "; ", "]"])
-            }
-            ExportTarget::Kalibr => self.kalibr(noise),
-            ExportTarget::Ros => self.ros(),
-        }
+            ExportTarget::Matlab => (include_str!("export/wimu_correct.m"), "% ", ["[", "; ", "]"]),
+            ExportTarget::Kalibr => (include_str!("export/kalibr.yaml"), "# ", ["[", ", ", "]"]),
+            ExportTarget::Ros => (include_str!("export/imu_calib.yaml"), "# ", ["[", ", ", "]"]),
+        };
+        let commented = |text: String| {
+            Vec::from_iter(text.lines().map(|line| format!("{comment}{line}"))).join("\n")
+        };
+        let left_out = self.left_out(target).into_iter().map(|line| format!("{line}.\n"));
+        let mut values = self.values(list);
+        values.extend([
+            ("convention", commented(self.convention())),
+            ("left_out", commented(left_out.collect())),
+            ("noise", noise::text(noise)),
+        ]);
+        self.fill(template, &values)
     }
 
     /// An assumed range, and terms of the calibration that a target cannot express.
@@ -141,51 +148,31 @@ impl CalibrationExport {
 
     /// The equations of the calibration, as lines of text.
     fn convention(&self) -> String {
-        let (unit, scale) = match self.stored.accelerometer.sensitivity_lsb_per_g {
+        let (unit, input) = match self.stored.accelerometer.sensitivity_lsb_per_g {
             Some(lsb_per_g) => {
                 ("LSB", format!("9.80665 / ({lsb_per_g} LSB/g), the nominal sensitivity"))
             }
             None => ("m/s^2", "1; set it to 9.80665 for output in g".to_owned()),
         };
-        let mut text = format!(
-            "Input: output of the accelerometer, sensor axes, {unit}. INPUT_TO_MPS2 is {scale}.\n\
-             Specific force f, m/s^2, body axes (at rest +g along the axis that points up):\n\
-             y = INPUT_TO_MPS2 input, z = A(T)^-1 (y - b(T)), u = z - q z z, f = R u,\n\
-             b(T) = b0 + b1 dT + b2 dT^2, A(T) = A with its diagonal times 1 + s1 dT, dT = T - T0 in degrees Celsius.\n\
-             The bias is subtracted before the inverse of A is applied; R rotates from sensor to body axes."
-        );
-        if self.stored.gyroscope.is_some() {
-            let (unit, _) = self.of_rate(1.0);
-            text += &format!(
-                "\nAngular rate w, rad/s, body axes, of the gyroscope's output in {unit}, y = output times the nominal scale:\n\
-                     w = R A(T)^-1 (y - b(T) - G u), with the gyroscope's own A, b, T0 and its g-sensitivity G."
-            );
-        }
-        text
+        let (wunit, _) = self.of_rate(1.0);
+        let values = [("unit", unit.to_owned()), ("input", input), ("wunit", wunit.to_owned())];
+        self.fill(include_str!("export/convention.txt"), &values)
     }
 
-    /// A template with its comment and numbers; `list` opens, separates the rows of a matrix in, and closes a list.
-    fn fill(&self, template: &str, comment: &str, list: [&str; 3]) -> String {
-        let vector = |v: [f64; 3]| {
-            let [open, _, close] = list;
-            format!("{open}{:?}, {:?}, {:?}{close}", v[0], v[1], v[2])
-        };
-        let matrix = |m: Matrix3| {
-            let [open, row, close] = list;
-            format!("{open}{}{close}", m.map(vector).join(row))
-        };
+    /// The numbers of the calibration by name.
+    fn values(&self, [open, row, close]: [&str; 3]) -> Vec<(&'static str, String)> {
+        let vector = |v: [f64; 3]| format!("{open}{:?}, {:?}, {:?}{close}", v[0], v[1], v[2]);
+        let matrix = |m: Matrix3| format!("{open}{}{close}", m.map(vector).join(row));
+        let rows = |m: Matrix3| m.map(|row| format!("  - {row:?}")).join("\n");
         let terms = self.stored.accelerometer.model.terms();
         let t = &terms.temperature;
-        let convention = self.convention();
-        let convention: Vec<String> =
-            convention.lines().map(|line| format!("{comment}{line}")).collect();
+        let (sm, bias) = self.ros();
         let signature = match self.stored.gyroscope {
             Some(_) => "[force, rate] = wimu_correct(output, temperature_c, rate_output)",
             None => "force = wimu_correct(output, temperature_c)",
         };
         let mut values = vec![
             ("title", self.title.clone()),
-            ("convention", convention.join("\n")),
             ("signature", signature.to_owned()),
             ("t0", format!("{:?}", t.reference_c)),
             ("scale", format!("{:?}", self.stored.accelerometer.mps2_per_unit())),
@@ -196,6 +183,9 @@ impl CalibrationExport {
             ("q", vector(terms.nonlinearity)),
             ("a", matrix(terms.matrix)),
             ("r", matrix(self.stored.alignment.matrix())),
+            ("rows_a", rows(terms.matrix)),
+            ("sm", format!("{sm:?}")),
+            ("smb", format!("{bias:?}")),
         ];
         if let Some(gyroscope) = &self.stored.gyroscope {
             let (unit, rad_s_per_unit) = self.of_rate(gyroscope.rad_s_per_lsb);
@@ -210,8 +200,15 @@ impl CalibrationExport {
                 ("ws1", vector(t.scale_per_k)),
                 ("wa", matrix(terms.matrix)),
                 ("wg", matrix(terms.g_sensitivity)),
+                ("rows_wa", rows(terms.matrix)),
+                ("rows_wg", rows(terms.g_sensitivity)),
             ]);
         }
+        values
+    }
+
+    /// A template with its values: a line of an empty one is left out, and so are those of a gyroscope without one.
+    fn fill(&self, template: &str, values: &[(&'static str, String)]) -> String {
         let mut keep = true;
         let mut text = String::new();
         for line in template.lines() {
@@ -223,101 +220,22 @@ impl CalibrationExport {
             }
         }
         for (name, value) in values {
-            text = text.replace(&format!("@{name}@"), &value);
+            if value.is_empty() {
+                text = text.replace(&format!("@{name}@\n"), "");
+            }
+            text = text.replace(&format!("@{name}@"), value);
         }
         text
     }
 
-    /// The title, a format's convention and what it leaves out, as comments.
-    fn comments(&self, target: ExportTarget, convention: &str) -> String {
-        let mut text = String::new();
-        let left_out = self.left_out(target);
-        let lines = convention.lines().map(str::to_owned);
-        let left_out = left_out.into_iter().map(|line| format!("{line}."));
-        for line in [self.title.clone()].into_iter().chain(lines).chain(left_out) {
-            let _ = writeln!(text, "# {line}");
-        }
-        text
-    }
-
-    /// Kalibr's IMU file, whose convention is ours: y = M f + b, M is A.
-    fn kalibr(&self, noise: Option<KalibrNoise>) -> String {
+    /// SM, row by row, and the bias of `imu_calib`: corrected = SM raw − bias.
+    fn ros(&self) -> ([f64; 9], [f64; 3]) {
         let terms = self.stored.accelerometer.model.terms();
-        let mut out = self
-            .comments(ExportTarget::Kalibr, "Output = M * specific force + b, sensor axes, m/s^2.");
-        out += "rostopic: /imu/data_raw\n";
-        match noise {
-            Some(noise) => out += &format!("update_rate: {:?}\n", noise.rate_hz),
-            None => out += "# Give the JSON of `wimu allan --json` with --noise.\n# update_rate:\n",
-        }
-        let sensors = noise.map_or([None; 2], |noise| noise.sensors);
-        let names = [("accelerometer", "m/s^2", "velocity"), ("gyroscope", "rad/s", "angle")];
-        for ((sensor, unit, walk), terms) in names.into_iter().zip(sensors) {
-            let Some(terms) = terms else {
-                out += &format!(
-                    "# Not measured: add them.\n# {sensor}_noise_density:\n# {sensor}_random_walk:\n"
-                );
-                continue;
-            };
-            if terms.coarse {
-                out += "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.\n";
-            }
-            out += &format!(
-                "# {unit}/sqrt(Hz) in Kalibr's convention: the {walk} random walk\n{sensor}_noise_density: {:?}\n",
-                terms.density
-            );
-            if !terms.random_walk_seen {
-                out += &format!("# Not observed in the recording: upper bound, {unit}/sqrt(s).\n");
-            }
-            out += &format!("{sensor}_random_walk: {:?}\n", terms.random_walk);
-        }
-        let rows = |m: Matrix3| m.map(|row| format!("  - {row:?}\n")).concat();
-        let _ = write!(
-            out,
-            "accelerometers:\n  M:\n{}  b: {:?}\n",
-            rows(terms.matrix),
-            terms.bias_mps2
-        );
-        if let Some(gyroscope) = &self.stored.gyroscope {
-            let terms = gyroscope.model.terms();
-            let _ = write!(
-                out,
-                "# Output = M * angular rate + A * specific force + b, sensor axes, rad/s.\n\
-                 gyroscopes:\n  M:\n{}  A:\n{}  b: {:?}\n",
-                rows(terms.matrix),
-                rows(terms.g_sensitivity),
-                terms.bias_rad_s
-            );
-        }
-        out
+        let of = |m: Matrix3| nalgebra::Matrix3::from_fn(|row, column| m[row][column]);
+        // The matrix of an error model has an inverse.
+        let inverse = of(terms.matrix).try_inverse().unwrap_or_else(nalgebra::Matrix3::identity);
+        let matrix = of(self.stored.alignment.matrix()) * inverse;
+        let bias = matrix * nalgebra::Vector3::from(terms.bias_mps2);
+        (std::array::from_fn(|k| matrix[(k / 3, k % 3)]), bias.into())
     }
-
-    /// The file of `imu_calib`: corrected = SM raw − bias.
-    fn ros(&self) -> String {
-        let terms = self.stored.accelerometer.model.terms();
-        let product =
-            |a: &Matrix3, v: [f64; 3]| a.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
-        let (rotation, inverse) = (self.stored.alignment.matrix(), inverse(&terms.matrix));
-        let column = |j: usize| product(&rotation, [0, 1, 2].map(|i| inverse[i][j]));
-        let columns = [column(0), column(1), column(2)];
-        let matrix = [0, 1, 2].map(|i| [0, 1, 2].map(|j| columns[j][i]));
-        format!(
-            "{}SM: {:?}\nbias: {:?}\n",
-            self.comments(
-                ExportTarget::Ros,
-                "For the ROS package imu_calib: corrected = SM * raw - bias, m/s^2, SM row by row.\n\
-                 raw: linear_acceleration of sensor_msgs/Imu in sensor axes, at nominal sensitivity; corrected: body axes.\n\
-                 SM = R A^-1, bias = R A^-1 b: the bias is subtracted after the matrix."
-            ),
-            matrix.as_flattened(),
-            product(&matrix, terms.bias_mps2)
-        )
-    }
-}
-
-/// Inverse of the matrix of an error model, which has one.
-fn inverse(matrix: &Matrix3) -> Matrix3 {
-    let matrix = nalgebra::Matrix3::from_fn(|i, j| matrix[i][j]);
-    let inverse = matrix.try_inverse().unwrap_or_else(nalgebra::Matrix3::identity);
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| inverse[(i, j)]))
 }

@@ -82,3 +82,36 @@ impl KalibrNoise {
         Ok(Self { rate_hz: report["rate_hz"].as_f64().ok_or_else(bad)?, sensors })
     }
 }
+
+/// The lines of Kalibr's file.
+pub(super) fn text(noise: Option<KalibrNoise>) -> String {
+    let mut lines = match noise {
+        Some(noise) => vec![format!("update_rate: {:?}", noise.rate_hz)],
+        None => vec![
+            "# Give the JSON of `wimu allan --json` with --noise.".to_owned(),
+            "# update_rate:".to_owned(),
+        ],
+    };
+    let sensors = noise.map_or([None; 2], |noise| noise.sensors);
+    let names = [("accelerometer", "m/s^2", "velocity"), ("gyroscope", "rad/s", "angle")];
+    for ((sensor, unit, walk), terms) in names.into_iter().zip(sensors) {
+        let Some(KalibrTerms { density, random_walk, random_walk_seen, coarse }) = terms else {
+            lines.push(format!(
+                "# Not measured: add them.\n# {sensor}_noise_density:\n# {sensor}_random_walk:"
+            ));
+            continue;
+        };
+        if coarse {
+            let text = "# Counts are coarser than the noise: this is the noise of the quantisation, not of the sensor.";
+            lines.push(text.to_owned());
+        }
+        lines.push(format!(
+            "# {unit}/sqrt(Hz) in Kalibr's convention: the {walk} random walk\n{sensor}_noise_density: {density:?}"
+        ));
+        if !random_walk_seen {
+            lines.push(format!("# Not observed in the recording: upper bound, {unit}/sqrt(s)."));
+        }
+        lines.push(format!("{sensor}_random_walk: {random_walk:?}"));
+    }
+    lines.join("\n")
+}

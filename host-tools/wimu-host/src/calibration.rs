@@ -21,8 +21,9 @@ pub mod source;
 mod update;
 
 pub use correction::Correction;
-pub use datasheet::{Datasheet, DatasheetReport, LimitReport, datasheet};
-pub use describe::{Difference, describe, not_observed, parameter_figures, values_text};
+use datasheet::DatasheetReport;
+pub use datasheet::{Datasheet, datasheet};
+pub use describe::{Difference, describe, parameter_figures, values_text};
 pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
 pub(crate) use file::worst_sd;
 pub use file::{
@@ -35,7 +36,7 @@ pub use paired::Paired;
 pub(crate) use poses::Fitting;
 pub use poses::calibrate;
 pub use reference::compare_with_reference;
-pub use report::{CalibrationReport, Criterion, Grade, NextPose, Source};
+pub use report::{CalibrationReport, Criterion, Grade, Source};
 pub use several::calibrate_several;
 pub use source::compiled_for;
 pub use update::update;
@@ -77,6 +78,15 @@ impl MethodChoice {
             Self::SixPosition => "six-position",
             Self::FourAngle => "four-angle",
             Self::ThreeAngle => "three-angle",
+        }
+    }
+
+    /// Steps of a rotation, where there are rotations.
+    pub fn steps(self) -> Option<usize> {
+        match self {
+            Self::MultiPosition | Self::SixPosition => None,
+            Self::FourAngle => Some(4),
+            Self::ThreeAngle => Some(3),
         }
     }
 }

@@ -1,8 +1,10 @@
 //! Guided calibration of a live board: which pose is next, what was captured, the result and its push. A screen or a
 //! page shows its [`GuidedView`].
 
-mod poses;
+mod capture;
+mod plan;
 mod session;
 
-pub use poses::{Guidance, LivePoses, News, Plan, Uncertainty};
-pub use session::{DEFAULT_FILE, Guided, GuidedView, Hold, MORE, poses_file, push, unit};
+pub use capture::Hold;
+pub use plan::{Plan, Uncertainty};
+pub use session::{DEFAULT_FILE, Guided, GuidedView, push};

@@ -29,7 +29,7 @@ fn advice(poses: &[[f64; 3]]) -> [f64; 3] {
     (0..).zip(poses).for_each(|(time, pose)| recording.row(track, time, pose));
     let samples = recording.samples(Selection { accelerometer: None, poses: true }).unwrap();
     let report = calibrate(&samples, &CalibrateOptions::default()).unwrap();
-    report.next_poses.first().map_or([1.0, 0.0, 0.0], |next| next.up)
+    report.next_poses.first().map_or([1.0, 0.0, 0.0], |next| next.up())
 }
 
 #[test]

@@ -153,7 +153,7 @@ pub fn calibrate(
     let report =
         py.detach(|| calibration::calibrate(&source.data()?.samples(selection)?, &options))?;
     let (Some(estimate), Some(file)) = (report.estimate.clone(), report.file.clone()) else {
-        let poses: Vec<&str> = report.next_poses.iter().map(|pose| pose.text.as_str()).collect();
+        let poses = Vec::from_iter(report.next_poses.iter().map(ToString::to_string));
         let remedy = if poses.is_empty() {
             "check the recording".to_owned()
         } else {

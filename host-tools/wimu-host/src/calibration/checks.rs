@@ -195,7 +195,7 @@ impl Solution<'_> {
         problems.extend(not_fitted(estimate));
         problems.extend(placement(&self.poses, estimate));
         problems.extend(self.sensitivity(estimate));
-        problems.extend(unobserved_by_rotations(&self.poses, estimate));
+        problems.extend(self.unobserved_by_rotations(estimate));
         let refit = |poses: &[Pose]| self.fitting.of(poses).ok();
         let time_s = |pose: &Pose| data.since_start_s(pose.first_sample as usize);
         let changed = nested::finding(&self.poses, estimate, refit, time_s);
@@ -239,6 +239,33 @@ impl Solution<'_> {
         };
         let text = format!("scale factors more than 10 % from 1: {}", far.join(", "));
         Some(Code::Sensitivity.warning(text).remedy(remedy))
+    }
+
+    /// What rotations about level axes cannot observe.
+    fn unobserved_by_rotations(&self, estimate: &Estimate) -> Vec<Problem> {
+        let Some(steps) = self.options.method.steps() else { return Vec::new() };
+        let mut problems = Vec::new();
+        let biases = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ];
+        if let Some(axis) = biases.into_iter().position(|bias| !estimate.fitted.contains(bias)) {
+            let sum: f64 = self.poses.iter().map(|pose| pose.mean_mps2[axis]).sum();
+            let mean = sum / self.poses.len() as f64;
+            let sine = (mean / estimate.gravity.mps2()).abs().min(1.0);
+            let text = format!(
+                "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which \
+                 lowers the scale factors by {:.1} %",
+                AXES[axis],
+                sine.asin().to_degrees(),
+                100.0 * (1.0 - (1.0 - sine * sine).sqrt()),
+            );
+            let remedy = "rotate about another axis to separate them";
+            problems.push(Code::NotObserved.warning(text).remedy(remedy));
+        }
+        if steps == 3 && self.poses.len() == steps {
+            let text = "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %";
+            let problem = Code::NotObserved.warning(text);
+            problems.push(problem.remedy("--method four-angle detects it"));
+        }
+        problems
     }
 
     /// Residuals larger than those of an intact sensor.
@@ -304,36 +331,6 @@ fn looks_like_means(data: &Samples<'_>, found: usize) -> bool {
     let median = median_magnitude(data);
     let near = |value: &[f64; 3]| (magnitude(*value) / median - 1.0).abs() < 0.2;
     10 * data.values().filter(near).count() >= 9 * data.len()
-}
-
-/// What rotations about level axes cannot observe.
-fn unobserved_by_rotations(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
-    let steps = match estimate.method {
-        Method::FourAngle => 4,
-        Method::ThreeAngle => 3,
-        _ => return Vec::new(),
-    };
-    let mut problems = Vec::new();
-    let biases = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ];
-    if let Some(axis) = biases.into_iter().position(|bias| !estimate.fitted.contains(bias)) {
-        let mean = poses.iter().map(|pose| pose.mean_mps2[axis]).sum::<f64>() / poses.len() as f64;
-        let sine = (mean / estimate.gravity.mps2()).abs().min(1.0);
-        let text = format!(
-            "all rotations were about {}, which reads {mean:+.2} m/s²: its bias, or an axis {:.0}° from level, which lowers \
-             the scale factors by {:.1} %",
-            AXES[axis],
-            sine.asin().to_degrees(),
-            100.0 * (1.0 - (1.0 - sine * sine).sqrt()),
-        );
-        let remedy = "rotate about another axis to separate them";
-        problems.push(Code::NotObserved.warning(text).remedy(remedy));
-    }
-    if steps == 3 && poses.len() == steps {
-        let text = "three steps leave no redundancy: a step that is 8° off changes the scale factor by 4 %";
-        let problem = Code::NotObserved.warning(text);
-        problems.push(problem.remedy("--method four-angle detects it"));
-    }
-    problems
 }
 
 /// Largest plausible residual of nine or more parameters, mm/s² rms: the 99.9 % point of χ² for the usual scatter and the

@@ -6,7 +6,7 @@ use wimu_model::{
     Matrix3, ParameterSet, STANDARD_GRAVITY_MPS2, SpecificForceMps2,
 };
 
-use super::{SensorCalibration, Source};
+use super::{Calibration, SensorCalibration, Source};
 use crate::csv::AccelerationUnit;
 use crate::recording::{TrackInfo, Unit};
 use crate::{Code, Result};
@@ -111,13 +111,7 @@ impl SensorCalibration {
 impl From<&ParameterSet> for Correction {
     /// Of the counts of a board.
     fn from(set: &ParameterSet) -> Self {
-        Self {
-            mps2_per_unit: set.sensitivity.mps2_per_lsb(),
-            model: set.model,
-            rotation: set.alignment.matrix(),
-            gyroscope: set.gyroscope.map(|own| (own.model, own.rad_s_per_lsb)),
-            magnetometer: set.magnetometer,
-        }
+        Calibration::held(set).sensor().correction(set.sensitivity.mps2_per_lsb())
     }
 }
 

@@ -112,93 +112,77 @@ pub fn datasheet(name: &str) -> Result<&'static Datasheet> {
 }
 
 /// A parameter compared with the datasheet's limit.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LimitReport {
-    /// Quantity, such as "zero-g offset".
-    pub quantity: &'static str,
+#[derive(Serialize)]
+struct LimitReport {
+    quantity: &'static str,
     /// Axis.
-    pub of: &'static str,
-    /// Unit of the numbers.
-    pub unit: &'static str,
-    /// As estimated.
-    pub value: f64,
-    /// Half its 95 % interval.
-    pub half_width_95: f64,
+    of: &'static str,
+    unit: &'static str,
+    value: f64,
+    half_width_95: f64,
     /// Largest magnitude in the datasheet.
-    pub limit: f64,
-    /// Whether the limit is guaranteed or typical.
-    pub guaranteed: bool,
+    limit: f64,
+    guaranteed: bool,
     /// Whether the whole interval is beyond the limit.
-    pub beyond: bool,
+    beyond: bool,
 }
 
 /// Comparison of an estimate with its sensor's datasheet.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct DatasheetReport {
-    /// The sensor.
-    pub sensor: &'static str,
-    /// The document with the limits.
-    pub document: &'static str,
+#[derive(Serialize)]
+pub(super) struct DatasheetReport {
+    sensor: &'static str,
+    document: &'static str,
     /// The parameters that the poses determine and the datasheet limits.
-    pub limits: Vec<LimitReport>,
+    limits: Vec<LimitReport>,
 }
 
 impl DatasheetReport {
     /// `sensitivity_lsb_per_g` is that which converted counts to m/s²; `None` for data in g or m/s².
-    pub(super) fn new(
+    pub fn new(
         datasheet: &Datasheet,
         estimate: &Estimate,
         sensitivity_lsb_per_g: Option<f64>,
     ) -> Self {
-        let near = |used: f64, nominal: &f64| (0.8..1.2).contains(&(used / nominal));
-        let nominal = |used: f64| {
-            let mut all = datasheet.sensitivities_lsb_per_g.iter();
-            Some(used / all.find(|nominal| near(used, nominal))?)
-        };
         // The sensitivity that converted the poses over the nominal one; unknown far from all of them.
-        let scale = sensitivity_lsb_per_g.map_or(Some(1.0), nominal);
-        let seen = estimate.fitted.without(estimate.assumed);
+        let scale = sensitivity_lsb_per_g.map_or(Some(1.0), |used| {
+            let ratios = datasheet.sensitivities_lsb_per_g.iter().map(|nominal| used / nominal);
+            ratios.into_iter().find(|ratio| (0.8..1.2).contains(ratio))
+        });
         let terms = estimate.model.terms();
-        let mut limits = Vec::new();
-        let mut compare = |parameter, (quantity, unit), value, factor: f64, limit| {
-            let Some(limit) = limit else { return };
-            if !seen.contains(parameter) {
-                return;
-            }
-            let (most, guaranteed) = match limit {
-                Typical(most) => (most, false),
-                Guaranteed(most) => (most, true),
+        let limit = |parameter: Parameter| {
+            let (place, mg) = (parameter.index(), 1e3 / STANDARD_GRAVITY_MPS2);
+            let (quantity, unit, value, factor, limit) = match place {
+                0..3 => {
+                    let limit = datasheet.zero_g_offset[place];
+                    ("zero-g offset", "mg", terms.bias_mps2[place] * mg, mg, limit)
+                }
+                3 | 7 | 11 => {
+                    let (axis, factor) = (place % 3, 100.0 * scale?);
+                    let off = terms.matrix[axis][axis] * factor - 100.0;
+                    ("sensitivity off nominal", "%", off, factor, datasheet.sensitivity?)
+                }
+                _ => return None,
             };
+            let (Typical(most) | Guaranteed(most)) = limit;
             let half_width_95 = estimate.half_width_95(parameter) * factor;
-            limits.push(LimitReport {
+            Some(LimitReport {
                 quantity,
-                of: AXES[parameter.index() % 3],
+                of: AXES[place % 3],
                 unit,
                 value,
                 half_width_95,
                 limit: most,
-                guaranteed,
+                guaranteed: matches!(limit, Guaranteed(_)),
                 beyond: f64::abs(value) - half_width_95 > most,
-            });
+            })
         };
-        for axis in 0..3 {
-            let mg = 1e3 / STANDARD_GRAVITY_MPS2;
-            let limit = Some(datasheet.zero_g_offset[axis]);
-            let value = terms.bias_mps2[axis] * mg;
-            compare(Parameter::ALL[axis], ("zero-g offset", "mg"), value, mg, limit);
-        }
-        for axis in 0..3 {
-            let factor = 100.0 * scale.unwrap_or(1.0);
-            let limit = datasheet.sensitivity.filter(|_| scale.is_some());
-            let value = terms.matrix[axis][axis] * factor - 100.0;
-            let parameter = Parameter::ALL[3 + 4 * axis];
-            compare(parameter, ("sensitivity off nominal", "%"), value, factor, limit);
-        }
+        let seen = estimate.fitted.without(estimate.assumed);
+        let limits = seen.iter().filter_map(limit).collect();
         Self { sensor: datasheet.sensor, document: datasheet.document, limits }
     }
 
     /// The parameters beyond their limits, or that there are none.
-    pub(super) fn finding(&self) -> Problem {
+    pub fn finding(&self) -> Problem {
         let (code, count, document) = (Code::Datasheet, self.limits.len(), self.document);
         let beyond = || self.limits.iter().filter(|limit| limit.beyond);
         let part = |limit: &LimitReport| {

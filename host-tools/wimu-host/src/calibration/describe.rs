@@ -6,8 +6,7 @@ use serde::Serialize;
 use wimu_calib::{Gravity, Parameter, Parameters};
 use wimu_link::hello::sensor;
 use wimu_model::{
-    CalibratedTemperature, CalibrationMethod, ErrorTerms, ParameterSet, QualityTerms,
-    STANDARD_GRAVITY_MPS2, SensorId,
+    CalibratedTemperature, ErrorTerms, ParameterSet, QualityTerms, STANDARD_GRAVITY_MPS2, SensorId,
 };
 
 use super::parameter_id;
@@ -105,31 +104,6 @@ pub fn values_text(values: &[f64]) -> String {
     }
 }
 
-/// The parameters, by name, that were not observed when a set was made: they have the ideal value and the standard
-/// deviation typical of datasheets.
-pub fn not_observed(set: &ParameterSet) -> Vec<String> {
-    let Some(quality) = &set.quality else { return Vec::new() };
-    let q = quality.terms();
-    let by_choice = |parameter: Parameter| {
-        use Parameter::{MisalignmentYx, MisalignmentZx, MisalignmentZy};
-        q.method == CalibrationMethod::MultiPosition
-            && [MisalignmentYx, MisalignmentZx, MisalignmentZy].contains(&parameter)
-    };
-    let values = |terms: &ErrorTerms| [&terms.bias_mps2, terms.matrix.as_flattened()].concat();
-    let [found, ideal] = [set.model.terms(), &ErrorTerms::default()].map(values);
-    let unseen = |parameter: &Parameter| {
-        let place = parameter.index();
-        let usual_sd = match place {
-            0..3 => 0.5,
-            3 | 7 | 11 => 0.03,
-            _ => 0.02,
-        };
-        let is_usual = q.covariance.sd(place) > 0.999 * usual_sd;
-        found[place] == ideal[place] && is_usual && !by_choice(*parameter)
-    };
-    Parameter::ALL.into_iter().filter(unseen).map(|parameter| parameter.to_string()).collect()
-}
-
 /// A parameter set beside its error model, as lines of text.
 pub fn describe(set: &ParameterSet) -> Vec<String> {
     let mut lines = Vec::new();
@@ -138,13 +112,7 @@ pub fn describe(set: &ParameterSet) -> Vec<String> {
     }
     match &set.quality {
         None => lines.push("no information on how the model was estimated".to_owned()),
-        Some(quality) => {
-            let unseen = not_observed(set);
-            if !unseen.is_empty() {
-                lines.push(format!("not observed, taken as ideal: {}", unseen.join(", ")));
-            }
-            lines.extend(quality_lines(quality.terms()));
-        }
+        Some(quality) => lines.extend(quality_lines(quality.terms())),
     }
     let [w, x, y, z] = set.alignment.quaternion();
     let known = match set.alignment_covariance {

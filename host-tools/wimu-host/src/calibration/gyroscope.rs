@@ -10,7 +10,7 @@ use wimu_model::{GyroscopeParameters, STANDARD_GRAVITY_MPS2};
 use super::report::AXES;
 use crate::digits::{signed_with_sd, significant, with_sd};
 use crate::plural::counted;
-use crate::recording::{Samples, Unit};
+use crate::recording::{Samples, Track, Unit};
 use crate::{Code, Problem};
 
 /// Full-scale range, °/s, of a gyroscope whose output came in °/s or rad/s: the largest usual one.
@@ -39,70 +39,80 @@ pub(super) fn calibrate(
     findings: &mut Vec<Problem>,
 ) -> Option<(GyroscopeEstimate, Option<GyroscopeParameters>)> {
     let track = data.rate.filter(|_| !data.poses)?;
-    let full_scale = track.info.full_scale;
     let kept = |(k, pose): (usize, &Pose)| (!accelerometer.rejected.contains(&k)).then_some(*pose);
-    let poses: Vec<Pose> = poses.iter().enumerate().filter_map(kept).collect();
-    let accelerometer = AccelerometerCalibration::from(accelerometer);
-    let estimate = |rad_s: f64, is_count: bool| {
-        let samples = data.six_axis(track, mps2, rad_s);
-        at_rests(poses.clone(), |poses| {
-            let session = GyroscopeSession {
-                poses,
-                samples: &samples,
-                accelerometer: &accelerometer,
-                full_scale_rad_s: full_scale.or(is_count.then_some(LARGEST_COUNT * rad_s)),
-            };
-            session.estimate()
-        })
-    };
-    let refused = |code: Code, reason: String| {
-        code.warning(format!("the gyroscope is not calibrated. {reason}"))
-    };
-    let (found, lsb) = match track.info.unit {
-        Unit::Si => (estimate(1.0, false), None),
-        Unit::Counts { si_per_lsb: Some(rad_s) } => (estimate(rad_s, true), Some(rad_s)),
-        _ => match usual(|rad_s| estimate(rad_s, true)) {
-            Ok((found, rad_s)) => {
-                let lsb_per_dps = 1.0 / rad_s.to_degrees();
-                let text = format!(
-                    "gyroscope: {lsb_per_dps:.1} LSB per °/s fits its counts, of the usual sensitivities"
-                );
-                findings.push(Code::UnitInferred.note(text));
-                (Ok(found), Some(rad_s))
-            }
-            Err(Some(axes)) => (Err(axes), None),
-            Err(None) => {
-                let text = "the gyroscope is not calibrated: its unit is not known, and no usual sensitivity fits";
-                let remedy = "name the unit in its columns: deg/s or rad/s";
-                findings.push(Code::Uncalibrated.note(text).remedy(remedy));
-                return None;
-            }
-        },
-    };
-    let (estimate, turning) = match found {
-        Ok(found) => found,
-        Err(refusal) => {
-            // Axes that differ are found: they are not undetectable.
-            let is_axes = refusal.reason == Reason::Axes;
-            let code = if is_axes { Code::Axes } else { Code::Uncalibrated };
-            findings.push(refused(code, refusal.to_string()));
-            return None;
-        }
-    };
+    let poses = Vec::from_iter(poses.iter().enumerate().filter_map(kept));
+    let fit = fit(data, track, mps2, &poses, &AccelerometerCalibration::from(accelerometer));
+    let Fit { estimate, turning, lsb } = fit.map_err(|problem| findings.push(problem)).ok()?;
+    if let (Unit::Counts { si_per_lsb: None } | Unit::Unknown, Some(rad_s)) = (track.info.unit, lsb)
+    {
+        let lsb_per_dps = 1.0 / rad_s.to_degrees();
+        findings.push(Code::UnitInferred.note(format!(
+            "gyroscope: {lsb_per_dps:.1} LSB per °/s fits its counts, of the usual sensitivities"
+        )));
+    }
     if turning > 0 {
         findings.push(Code::PosesLeftOut.note(format!(
             "gyroscope: {} left out, in which the sensor rotated about the vertical",
             counted(turning, "pose")
         )));
     }
-    let range_dps = full_scale.map_or(USUAL_DPS, f64::to_degrees).round();
+    let range_dps = track.info.full_scale.map_or(USUAL_DPS, f64::to_degrees).round();
     let rad_s_per_lsb = lsb.unwrap_or(range_dps.to_radians() / 32_768.0);
     let parameters = estimate.parameters(range_dps.clamp(1.0, 65_535.0) as u16, rad_s_per_lsb);
     if let Err(error) = &parameters {
-        findings.push(refused(Code::Uncalibrated, error.to_string()));
+        findings.push(refused(Code::Uncalibrated, &error.to_string()));
     }
     findings.extend(remarks(&estimate));
     Some((estimate, parameters.ok()))
+}
+
+/// An estimate, the number of poses that were left out, and rad/s of a count, of data in counts.
+struct Fit {
+    estimate: GyroscopeEstimate,
+    turning: usize,
+    lsb: Option<f64>,
+}
+
+/// The estimate in the unit of the data, or that which fits; why there is none.
+fn fit(
+    data: &Samples<'_>,
+    track: &Track,
+    mps2: f64,
+    poses: &[Pose],
+    accelerometer: &AccelerometerCalibration,
+) -> Result<Fit, Problem> {
+    let estimate = |rad_s: f64, lsb: Option<f64>| {
+        let samples = data.six_axis(track, mps2, rad_s);
+        let full_scale_rad_s = track.info.full_scale.or(lsb.map(|lsb| LARGEST_COUNT * lsb));
+        let found = at_rests(poses.to_vec(), |poses| {
+            GyroscopeSession { poses, samples: &samples, accelerometer, full_scale_rad_s }
+                .estimate()
+        });
+        found.map(|(estimate, turning)| Fit { estimate, turning, lsb })
+    };
+    let found = match track.info.unit {
+        Unit::Si => estimate(1.0, None),
+        Unit::Counts { si_per_lsb: Some(rad_s) } => estimate(rad_s, Some(rad_s)),
+        _ => match usual(|rad_s| estimate(rad_s, Some(rad_s))) {
+            Ok(found) => Ok(found),
+            Err(Some(axes)) => Err(axes),
+            Err(None) => {
+                let text = "the gyroscope is not calibrated: its unit is not known, and no usual sensitivity fits";
+                let remedy = "name the unit in its columns: deg/s or rad/s";
+                return Err(Code::Uncalibrated.note(text).remedy(remedy));
+            }
+        },
+    };
+    found.map_err(|refusal| {
+        // Axes that differ are found: they are not undetectable.
+        let is_axes = refusal.reason == Reason::Axes;
+        let code = if is_axes { Code::Axes } else { Code::Uncalibrated };
+        refused(code, &refusal.to_string())
+    })
+}
+
+fn refused(code: Code, reason: &str) -> Problem {
+    code.warning(format!("the gyroscope is not calibrated. {reason}"))
 }
 
 /// The estimate without the poses in which the gyroscope shows a rotation, at most one of five, and their number.
@@ -123,28 +133,24 @@ fn at_rests(
     }
 }
 
-/// The estimate at the usual sensitivity that fits best, and that, rad/s per LSB: of those with scale factors within the
-/// tolerance, else of the usable ones, the one with the smallest error after turns. If none fits, the refusal of a sensitivity
-/// at which only the axes differ.
-fn usual<T>(
-    estimate: impl Fn(f64) -> Result<(GyroscopeEstimate, T), Refusal>,
-) -> Result<((GyroscopeEstimate, T), f64), Option<Refusal>> {
-    let off = |estimate: &GyroscopeEstimate| {
-        let matrix = estimate.model.terms().matrix;
+/// The estimate at the usual sensitivity that fits best: of those with scale factors within the tolerance, else of the usable
+/// ones, the one with the smallest error after turns. If none fits, the refusal of a sensitivity at which only the axes differ.
+fn usual(estimate: impl Fn(f64) -> Result<Fit, Refusal>) -> Result<Fit, Option<Refusal>> {
+    let off = |fit: &Fit| {
+        let matrix = fit.estimate.model.terms().matrix;
         (0..3).map(|axis| (matrix[axis][axis] - 1.0).abs()).fold(0.0, f64::max)
     };
     let (mut fits, mut axes) = (Vec::new(), None);
     for lsb_per_dps in USUAL_LSB_PER_DPS {
-        let rad_s = (1.0 / lsb_per_dps).to_radians();
-        match estimate(rad_s) {
-            Ok(found) if off(&found.0) < USABLE => fits.push((found, rad_s)),
+        match estimate((1.0 / lsb_per_dps).to_radians()) {
+            Ok(found) if off(&found) < USABLE => fits.push(found),
             Err(refusal) if refusal.reason == Reason::Axes => axes = Some(refusal),
             _ => {}
         }
     }
-    let far = |estimate: &GyroscopeEstimate| off(estimate) >= TOLERANCE;
-    let best = fits.into_iter().min_by(|((a, _), _), ((b, _), _)| {
-        far(a).cmp(&far(b)).then(a.rms_rad.total_cmp(&b.rms_rad))
+    let best = fits.into_iter().min_by(|a, b| {
+        let [far_a, far_b] = [a, b].map(|fit| off(fit) >= TOLERANCE);
+        far_a.cmp(&far_b).then(a.estimate.rms_rad.total_cmp(&b.estimate.rms_rad))
     });
     best.ok_or(axes)
 }

@@ -1,10 +1,12 @@
 //! Calibration of a magnetometer: hard and soft iron, and its rotation to the calibrated accelerometer beside it.
 
 use serde_json::{Value, json};
-use wimu_calib::{Guide, MagneticEstimate, MagneticPose, Pose, Reason, magnetometer};
+use wimu_calib::{
+    Guide, MagneticEstimate, MagneticPose, Orientation, Pose, Reason, Refusal, magnetometer,
+};
 use wimu_model::{MagneticFieldNt, MagnetometerModel, ParameterSet};
 
-use super::report::{CalibrationReport, NextPose};
+use super::report::{CalibrationReport, orientation_json, orientation_text};
 use super::{Calibration, magnitude};
 use crate::chart::{Chart, Series};
 use crate::problem::Outcome;
@@ -58,27 +60,10 @@ pub fn calibrate_magnetometer(
     let set = calibration.parameters()?;
     let rests = rests(data, calibration)?;
     let poses = field_poses(data, &rests);
-    let fitted = Vec::from_iter(poses.iter().map(|pose| pose.pose));
-    let estimate = magnetometer(&fitted, dip_rad);
-    let mut outcome = Outcome::default();
-    outcome.findings.extend(data.findings());
-    outcome.findings.extend(data.temperature_finding(&set));
-    let few = poses.iter().filter(|pose| pose.fields < 2).count();
-    if few > 0 && !data.poses {
-        let text = format!("{few} of {} poses have only one measurement of the field", poses.len());
-        outcome.findings.push(Code::MagneticField.warning(text).remedy("hold them longer"));
-    }
-    let mut guide = Guide::default();
-    fitted.iter().for_each(|pose| guide.take(pose.up));
-    let mut more = guide.worth(|_| true);
-    let next = std::iter::from_fn(|| {
-        let next = guide.next(|_| true)?;
-        guide.take(next.up());
-        Some(NextPose::from(next))
-    });
-    let mut next = Vec::from_iter(next.take(MAX_ADVISED));
+    let estimate = magnetometer(&Vec::from_iter(poses.iter().map(|pose| pose.pose)), dip_rad);
+    let (more, next) = advice(&poses, estimate.as_ref().err());
+    let mut outcome = Outcome { findings: findings(data, &set, &poses), ..Outcome::default() };
     let (mut answer, mut file) = (Vec::new(), None);
-    let model = estimate.as_ref().ok().map(|found| found.model);
     match &estimate {
         Ok(found) => {
             outcome.findings.extend(disturbed(&poses, found));
@@ -86,54 +71,34 @@ pub fn calibrate_magnetometer(
             let after = ParameterSet { magnetometer: Some(found.model), ..set };
             file = Some(calibration.after(&after, data.name).of_device(data.info().device_id));
             answer = lines(found);
-            if more > 0 {
-                answer.push(format!("{more} more poses are worthwhile"));
-            } else {
-                answer.push("more poses would improve it little".to_owned());
-                next.clear();
-            }
+            answer.push(match more {
+                0 => "more poses would improve it little".to_owned(),
+                more => format!("{more} more poses are worthwhile"),
+            });
         }
         Err(refusal) => {
             let option = if refusal.reason == Reason::Axes { ": --dip DEG" } else { "" };
             outcome.refuse(format!("{refusal}{option}"));
-            // Other refusals are not resolved by more poses.
-            if !refusal.needs_poses() {
-                (more, next) = (0, Vec::new());
-            }
         }
     }
-    answer.extend(
-        next.iter().map(|pose| format!("{pose}, and another side to the north than before")),
-    );
-    let json = json!({
-        "source": data.name,
-        "sensor": "magnetometer",
-        "rests": rests.len(),
-        "poses": Vec::from_iter(poses.iter().map(|pose| json!({
-            "first_sample": pose.first_sample,
-            "fields": pose.fields,
-            "output_ut": pose.pose.output_nt.map(|nt| nt / 1e3),
-            "residual_ut": model.map(|model| pose.residual_ut(&model)),
-        }))),
-        "rejected_poses": estimate.as_ref().map_or(&[][..], |found| &found.rejected),
-        "next_poses": next,
-        "poses_worth_adding": more,
-        "magnetometer": model.map(|model| *model.terms()),
-        "half_width_95": estimate.as_ref().ok().map(half_widths),
-        "dip_deg": model.and_then(|model| dip_deg(&model)),
-    });
+    answer.extend(next.iter().map(|next| {
+        format!("{}, and another side to the north than before", orientation_text(next))
+    }));
+    let mut numbers = numbers(&poses, estimate.as_ref().ok());
+    numbers["source"] = json!(data.name);
+    numbers["rests"] = json!(rests.len());
+    numbers["next_poses"] = Value::from_iter(next.iter().map(orientation_json));
+    numbers["poses_worth_adding"] = json!(more);
     let (name, all) = (data.name, poses.len());
     let head = format!("{name}: {} rests, {all} with a magnetic field", rests.len());
-    let title = format!("Magnetometer of {name}");
-    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
-    if !poses.is_empty() {
-        report.page.chart(&chart("|B| before correction", &poses, FieldPose::output_ut));
-    }
-    if let Some(model) = model {
+    let before = chart("|B| before correction", &poses, FieldPose::output_ut);
+    let after = estimate.as_ref().ok().map(|found| {
         let title = "|B| less the mean field after correction";
-        report.page.chart(&chart(title, &poses, |pose| pose.residual_ut(&model)));
-    }
-    Ok(report)
+        chart(title, &poses, |pose| pose.residual_ut(&found.model))
+    });
+    let title = format!("Magnetometer of {name}");
+    let report = CalibrationReport::new(title, outcome, head, answer, numbers, file);
+    Ok(report.draw([before].into_iter().chain(after).filter(|_| all > 0)))
 }
 
 fn check(data: &Samples<'_>) -> Result<()> {
@@ -195,6 +160,39 @@ fn median(fields: &[[f64; 3]]) -> Option<[f64; 3]> {
     }))
 }
 
+/// How many more poses are worthwhile, and the most useful orientations: any rotation that changes the direction of gravity
+/// changes that of the field, too.
+fn advice(poses: &[FieldPose], refusal: Option<&Refusal>) -> (usize, Vec<Orientation>) {
+    // Other refusals are not resolved by more poses.
+    if refusal.is_some_and(|refusal| !refusal.needs_poses()) {
+        return (0, Vec::new());
+    }
+    let mut guide = Guide::default();
+    poses.iter().for_each(|pose| guide.take(pose.pose.up));
+    let more = guide.worth(|_| true);
+    if more == 0 && refusal.is_none() {
+        return (0, Vec::new());
+    }
+    let next = std::iter::from_fn(|| {
+        let next = guide.next(|_| true)?;
+        guide.take(next.up());
+        Some(next)
+    });
+    (more, next.take(MAX_ADVISED).collect())
+}
+
+/// Findings of the data.
+fn findings(data: &Samples<'_>, set: &ParameterSet, poses: &[FieldPose]) -> Vec<Problem> {
+    let mut findings = data.findings();
+    findings.extend(data.temperature_finding(set));
+    let few = poses.iter().filter(|pose| pose.fields < 2).count();
+    if few > 0 && !data.poses {
+        let text = format!("{few} of {} poses have only one measurement of the field", poses.len());
+        findings.push(Code::MagneticField.warning(text).remedy("hold them longer"));
+    }
+    findings
+}
+
 /// The poses left out of the fit.
 fn disturbed(poses: &[FieldPose], found: &MagneticEstimate) -> Vec<Problem> {
     let finding = |&pose: &usize| {
@@ -231,12 +229,30 @@ fn of_dip(found: &MagneticEstimate, given_rad: Option<f64>) -> Option<Problem> {
     })
 }
 
-/// Half widths of the 95 % intervals, by Student's t.
-fn half_widths(found: &MagneticEstimate) -> Value {
+/// The poses and the estimate, with the half widths of its 95 % intervals by Student's t.
+fn numbers(poses: &[FieldPose], found: Option<&MagneticEstimate>) -> Value {
+    let pose = |pose: &FieldPose| {
+        json!({
+            "first_sample": pose.first_sample,
+            "fields": pose.fields,
+            "output_ut": pose.pose.output_nt.map(|nt| nt / 1e3),
+            "residual_ut": found.map(|found| pose.residual_ut(&found.model)),
+        })
+    };
+    let half_widths = |found: &MagneticEstimate| {
+        json!({
+            "hard_iron_ut": found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
+            "soft_iron": found.soft_iron_half_width_95(),
+            "rotation_deg": found.rotation_half_width_95_rad().map(|rad| rad.map(f64::to_degrees)),
+        })
+    };
     json!({
-        "hard_iron_ut": found.hard_iron_half_width_95_nt().map(|nt| nt / 1e3),
-        "soft_iron": found.soft_iron_half_width_95(),
-        "rotation_deg": found.rotation_half_width_95_rad().map(|axes| axes.map(f64::to_degrees)),
+        "sensor": "magnetometer",
+        "poses": Value::from_iter(poses.iter().map(pose)),
+        "rejected_poses": found.map_or(&[][..], |found| &found.rejected),
+        "magnetometer": found.map(|found| *found.model.terms()),
+        "half_width_95": found.map(half_widths),
+        "dip_deg": found.and_then(|found| dip_deg(&found.model)),
     })
 }
 

@@ -4,6 +4,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use wimu_calib::{Estimate, Method, Nested, Pose, Term, Terms, TestedPose, Unexplained};
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
+use super::report::AXES;
 use crate::{Code, Problem};
 
 /// Fewest poses before and after a step.
@@ -73,46 +74,33 @@ impl Kind {
 
     /// What is found and what to do; `size` is the largest term, `fitted` the terms of the model.
     fn problem(self, size: f64, fitted: Terms) -> Problem {
-        let separately =
-            "calibrate the poses before and after it separately; check the mounting and the driver";
-        let axis = |axis: usize| ["X", "Y", "Z"][axis];
-        let (mm, percent) = (size * 1e3, size * 1e2);
-        let (code, text, remedy) = match self {
-            Self::Drift(_) if fitted.contains(Term::Drift) => (
-                Code::Drift,
-                "the bias drift was not linear, as during warm-up: the bias at the end exceeds its interval".to_owned(),
-                "record again when the sensor is warm, or with its temperature and --model auto+temperature",
-            ),
-            Self::Drift(_) => (
-                Code::Drift,
-                format!("the bias drifted by {:.0} mm/s²", mm.abs()),
-                "use --model 9+drift, or record again when the sensor is warm",
-            ),
-            Self::Temperature => (
-                Code::Temperature,
-                format!("the bias changed with temperature by {:.2} mm/s² per K", mm.abs()),
-                "use --model 9+temperature",
-            ),
-            Self::Quadratic => (
-                Code::Residuals,
-                format!("the output is not linear: quadratic term {size:.1e} s²/m"),
-                "use --model 9+quadratic",
-            ),
-            Self::Step(Step::Bias, k) => (
-                Code::Step,
-                format!("the bias of {} changed by {mm:+.0} mm/s² between two poses", axis(k)),
-                separately,
-            ),
-            Self::Step(Step::Gain, k) => (
-                Code::Step,
-                format!("the scale factor of {} changed by {percent:+.1} % between two poses", axis(k)),
-                separately,
-            ),
-            Self::Step(Step::Sign, k) => {
-                (Code::Step, format!("the sign of {} changed between two poses", axis(k)), separately)
-            }
+        let step = |text: String| {
+            Code::Step.warning(format!("{text} between two poses")).remedy(
+                "calibrate the poses before and after it separately; check the mounting and the driver",
+            )
         };
-        code.warning(text).remedy(remedy)
+        let (mm, percent) = (size * 1e3, size * 1e2);
+        match self {
+            Self::Drift(_) if fitted.contains(Term::Drift) => Code::Drift
+                .warning("the bias drift was not linear, as during warm-up: the bias at the end exceeds its interval")
+                .remedy("record again when the sensor is warm, or with its temperature and --model auto+temperature"),
+            Self::Drift(_) => Code::Drift
+                .warning(format!("the bias drifted by {:.0} mm/s²", mm.abs()))
+                .remedy("use --model 9+drift, or record again when the sensor is warm"),
+            Self::Temperature => Code::Temperature
+                .warning(format!("the bias changed with temperature by {:.2} mm/s² per K", mm.abs()))
+                .remedy("use --model 9+temperature"),
+            Self::Quadratic => Code::Residuals
+                .warning(format!("the output is not linear: quadratic term {size:.1e} s²/m"))
+                .remedy("use --model 9+quadratic"),
+            Self::Step(Step::Bias, k) => {
+                step(format!("the bias of {} changed by {mm:+.0} mm/s²", AXES[k]))
+            }
+            Self::Step(Step::Gain, k) => {
+                step(format!("the scale factor of {} changed by {percent:+.1} %", AXES[k]))
+            }
+            Self::Step(Step::Sign, k) => step(format!("the sign of {} changed", AXES[k])),
+        }
     }
 }
 

@@ -50,61 +50,29 @@ impl Paired {
     /// Those of [`Recording::samples`]; `usage` when the recording does not have the two.
     pub fn of_recording(
         recording: &Recording,
-        [reference, output]: [Option<u8>; 2],
+        chosen: [Option<u8>; 2],
         sensitivity: Option<Sensitivity>,
     ) -> Result<Self> {
-        let usage = |message: String, remedy: String| {
-            Err(Code::Usage.error(message, remedy).at(&recording.name))
-        };
-        let sensors: Vec<u8> =
-            recording.of(Quantity::SpecificForce).map(|track| track.info.sensor).collect();
-        let [first, _, ..] = sensors[..] else {
-            return usage(
-                "it has one accelerometer: a reference is missing".to_owned(),
-                "name the columns of two `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`"
-                    .to_owned(),
-            );
-        };
-        let list: Vec<String> = sensors.iter().map(u8::to_string).collect();
-        let list = list.join(", ");
-        let reference = reference.unwrap_or(first);
-        let others = || sensors.iter().copied().filter(|s| *s != reference);
-        let output = match (output, others().next(), others().nth(1)) {
-            (Some(output), ..) => output,
-            (None, Some(other), None) => other,
-            _ => {
-                return usage(
-                    format!("it has {} accelerometers", sensors.len()),
-                    format!("choose the one to calibrate with --sensor: {list}"),
-                );
-            }
-        };
-        if output == reference {
-            return usage(
-                format!("accelerometer {output} cannot be its own reference"),
-                format!("choose two of {list} with --sensor and --reference"),
-            );
-        }
+        let [reference, output] = two(recording, chosen)?;
         let samples =
             |sensor| recording.samples(Selection { accelerometer: Some(sensor), poses: false });
         let (x, y) = (samples(reference)?, samples(output)?);
-        let sensitivity = match (x.unit, sensitivity) {
-            (_, Some(given)) => Some(given),
-            (OutputUnit::Mps2, None) => None,
-            (OutputUnit::Counts { nominal, .. }, None) => match nominal {
-                Some(nominal) => Some(nominal),
-                None => match Sensitivity::from_lsb_per_g(median_magnitude(&x)) {
-                    Ok(found) => Some(found),
-                    Err(error) => {
-                        return usage(
-                            format!(
-                                "the median of the reference's counts is not a sensitivity: {error}"
-                            ),
-                            "give --sensitivity".to_owned(),
-                        );
-                    }
-                },
-            },
+        let found = match x.unit {
+            OutputUnit::Counts { nominal: None, .. } => {
+                Sensitivity::from_lsb_per_g(median_magnitude(&x)).map(Some)
+            }
+            OutputUnit::Counts { nominal, .. } => Ok(nominal),
+            OutputUnit::Mps2 => Ok(None),
+        };
+        let sensitivity = match (sensitivity, found) {
+            (Some(given), _) => Some(given),
+            (None, Ok(found)) => found,
+            (None, Err(error)) => {
+                let text =
+                    format!("the median of the reference's counts is not a sensitivity: {error}");
+                let error = Code::Usage.error(text, "give --sensitivity");
+                return Err(error.at(&recording.name));
+            }
         };
         let scale = match (x.unit, sensitivity) {
             (OutputUnit::Counts { .. }, Some(known)) => known.mps2_per_lsb(),
@@ -126,12 +94,6 @@ impl Paired {
             sensor: None,
             device_id: None,
         })
-    }
-
-    /// The same with a full-scale range, ± *g*, where one is given.
-    #[must_use]
-    pub fn at_range(self, range_g: Option<u8>) -> Self {
-        Self { range_g: range_g.or(self.range_g), ..self }
     }
 
     /// The raw samples of a recording that came over both links, the cable's as reference.
@@ -201,4 +163,29 @@ impl Paired {
             device_id: wireless.hello().map(|hello| hello.device_id),
         })
     }
+}
+
+/// Two accelerometers of a recording, as chosen: the reference and the output.
+fn two(recording: &Recording, [reference, output]: [Option<u8>; 2]) -> Result<[u8; 2]> {
+    let tracks = recording.of(Quantity::SpecificForce);
+    let sensors = Vec::from_iter(tracks.map(|track| track.info.sensor));
+    let list = Vec::from_iter(sensors.iter().map(u8::to_string)).join(", ");
+    let reference = reference.or(sensors.first().copied()).unwrap_or_default();
+    let others = Vec::from_iter(sensors.iter().copied().filter(|sensor| *sensor != reference));
+    let (message, remedy) = match (output, &others[..]) {
+        _ if sensors.len() < 2 => (
+            "it has one accelerometer: a reference is missing".to_owned(),
+            "name the columns of two `Accelerometer 0 X (…)`, `Accelerometer 1 X (…)`".to_owned(),
+        ),
+        (Some(output), _) if output == reference => (
+            format!("accelerometer {output} cannot be its own reference"),
+            format!("choose two of {list} with --sensor and --reference"),
+        ),
+        (Some(output), _) | (None, &[output]) => return Ok([reference, output]),
+        _ => (
+            format!("it has {} accelerometers", sensors.len()),
+            format!("choose the one to calibrate with --sensor: {list}"),
+        ),
+    };
+    Err(Code::Usage.error(message, remedy).at(&recording.name))
 }

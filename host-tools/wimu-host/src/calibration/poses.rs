@@ -155,17 +155,14 @@ impl Poses {
     /// or the first step of a rotation again.
     fn without_repetitions(&mut self, method: MethodChoice) -> Option<Problem> {
         let all = self.poses.len();
-        let returned = "the rotation had returned to its first step";
-        let why = match method {
-            MethodChoice::MultiPosition => {
-                let mut seen = HashSet::with_capacity(all);
-                self.poses.retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
-                "exactly equal to an earlier pose"
-            }
-            MethodChoice::SixPosition => return None,
-            MethodChoice::FourAngle => self.remove_closing(4, returned),
-            MethodChoice::ThreeAngle => self.remove_closing(3, returned),
-        };
+        let mut why = "exactly equal to an earlier pose";
+        if let Some(steps) = method.steps() {
+            why = "the rotation had returned to its first step";
+            self.remove_closing(steps);
+        } else if method == MethodChoice::MultiPosition {
+            let mut seen = HashSet::with_capacity(all);
+            self.poses.retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
+        }
         let removed = all - self.poses.len();
         (removed > 0).then(|| {
             let count = counted(removed, "pose");
@@ -175,7 +172,7 @@ impl Poses {
     }
 
     /// Removes the pose after a rotation of `steps` that repeats the rotation's first step, if whole rotations remain.
-    fn remove_closing<'t>(&mut self, steps: usize, why: &'t str) -> &'t str {
+    fn remove_closing(&mut self, steps: usize) {
         let mut kept = Vec::with_capacity(self.poses.len());
         let mut rest = self.poses.as_slice();
         while let Some((turn, after)) = rest.split_at_checked(steps) {
@@ -187,7 +184,6 @@ impl Poses {
         if rest.is_empty() {
             self.poses = kept;
         }
-        why
     }
 
     fn rescale(&mut self, scale: f64) {

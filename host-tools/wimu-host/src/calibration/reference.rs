@@ -82,11 +82,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> CalibrationR
     let pairs = data.pairs.len();
     let head = format!("{}: {output} against {reference}, {pairs} pairs of samples", data.name);
     let title = format!("{output} against {reference}");
-    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
-    for chart in &charts {
-        report.page.chart(chart);
-    }
-    report
+    CalibrationReport::new(title, outcome, head, answer, json, file).draw(charts)
 }
 
 /// Sensitivity and range of a board that takes the calibration.

@@ -71,9 +71,9 @@ pub struct CalibrationReport {
     /// The gyroscope, if it was calibrated with the poses.
     #[serde(skip)]
     pub gyroscope: Option<GyroscopeEstimate>,
-    /// Recommended poses, the most useful first: against a refusal, or to improve the answer.
+    /// Recommended orientations, the most useful first: against a refusal, or to improve the answer.
     #[serde(skip)]
-    pub next_poses: Vec<NextPose>,
+    pub next_poses: Vec<Orientation>,
     #[serde(skip)]
     text: String,
 }
@@ -107,6 +107,15 @@ impl CalibrationReport {
             text,
             ..Self::default()
         }
+    }
+
+    /// The same with these charts on the page.
+    #[must_use]
+    pub(super) fn draw(mut self, charts: impl IntoIterator<Item = Chart>) -> Self {
+        charts.into_iter().for_each(|chart| {
+            self.page.chart(&chart);
+        });
+        self
     }
 
     /// Nominal sensitivity, LSB/g; `None` for data in m/s² without a given one.
@@ -146,31 +155,18 @@ impl fmt::Display for CalibrationReport {
     }
 }
 
-/// A recommended pose.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct NextPose {
-    /// Direction that points up, a unit vector in sensor axes.
-    pub up: [f64; 3],
-    /// The same as text.
-    pub text: String,
-    /// Instruction to a person.
-    pub instruction: String,
+/// A recommended orientation as JSON: the direction that points up, a unit vector in sensor axes, and how to get there.
+pub(super) fn orientation_json(next: &Orientation) -> Value {
+    json!({
+        "up": next.up(),
+        "text": next.to_string(),
+        "instruction": next.instruction().to_string(),
+    })
 }
 
-impl From<Orientation> for NextPose {
-    fn from(orientation: Orientation) -> Self {
-        Self {
-            up: orientation.up(),
-            text: orientation.to_string(),
-            instruction: orientation.instruction().to_string(),
-        }
-    }
-}
-
-impl fmt::Display for NextPose {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "add a pose with {}: {}", self.text, self.instruction)
-    }
+/// A recommended orientation as text.
+pub(super) fn orientation_text(next: &Orientation) -> String {
+    format!("add a pose with {next}: {}", next.instruction())
 }
 
 /// How good a calibration is: its error at 1 *g* in the worst orientation, against a limit.
@@ -310,7 +306,7 @@ pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Gra
 }
 
 /// The upward directions of the poses on the unit sphere in sensor axes, and those of poses to add.
-pub(super) fn sphere(poses: &[Pose], rejected: &[usize], next: &[NextPose]) -> Chart {
+pub(super) fn sphere(poses: &[Pose], rejected: &[usize], next: &[Orientation]) -> Chart {
     let unit = |up: [f64; 3]| up.map(|axis| axis / magnitude(up));
     let held = |name: &str, left_out: bool| {
         let all = poses.iter().enumerate();
@@ -320,7 +316,7 @@ pub(super) fn sphere(poses: &[Pose], rejected: &[usize], next: &[NextPose]) -> C
             .unzip();
         Series { labels, ..Series::space(name, Style::Dots, &up) }
     };
-    let advised = Vec::from_iter(next.iter().map(|pose| unit(pose.up)));
+    let advised = Vec::from_iter(next.iter().map(|next| unit(next.up())));
     let mut series = vec![
         held("pose held", false),
         held("left out", true),

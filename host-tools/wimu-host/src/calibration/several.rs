@@ -41,45 +41,34 @@ pub fn calibrate_several(
         "gravity_source": gravity_source,
     });
     let names = Vec::from_iter(data.iter().map(|samples| samples.name)).join(", ");
-    let combined = match each(data, options, gravity)? {
-        Ok(singles) => {
-            let estimates =
-                Vec::from_iter(singles.iter().filter_map(|single| single.estimate.clone()));
-            let combined = combine(&estimates, gravity);
-            combined
-                .map(|combined| Sessions { singles, estimates, combined, gravity })
-                .map_err(|refusal| format!("{refusal} (sessions from 0: {names})"))
+    let sessions = each(data, options, gravity)?.and_then(|singles| {
+        let estimates = Vec::from_iter(singles.iter().filter_map(|single| single.estimate.clone()));
+        match combine(&estimates, gravity) {
+            Ok(combined) => Ok(Sessions { singles, estimates, combined, gravity }),
+            Err(refusal) => Err(format!("{refusal} (sessions from 0: {names})")),
         }
-        Err(reason) => Err(reason),
-    };
+    });
+    let (mut outcome, mut lines, mut file) = (Outcome::default(), Vec::new(), None);
+    let mut chart = None;
+    match sessions {
+        Ok(sessions) => {
+            let Combined { model, covariance, fitted, .. } = &sessions.combined;
+            let (terms, source) = (model.terms(), gravity_source);
+            outcome.findings = sessions.findings();
+            let of_gravity = checks::gravity(terms, covariance, *fitted, gravity, source);
+            outcome.findings.extend(of_gravity);
+            sessions.fill(&mut json);
+            lines = sessions.lines();
+            let (method, g) = (options.method.name(), gravity_text(gravity));
+            lines.push(format!("{method}, {g}; ± is 1 σ of a new session"));
+            file = sessions.file(options.utc_s);
+            chart = Some(sessions.chart());
+        }
+        Err(reason) => outcome.refuse(reason),
+    }
     let title = format!("Calibration of {names}");
-    let sessions = match combined {
-        Ok(sessions) => sessions,
-        Err(reason) => {
-            let mut outcome = Outcome::default();
-            outcome.refuse(reason);
-            return Ok(CalibrationReport::new(
-                title,
-                outcome,
-                String::new(),
-                Vec::new(),
-                json,
-                None,
-            ));
-        }
-    };
-    let mut outcome = Outcome { findings: sessions.findings(), ..Outcome::default() };
-    let Combined { model, covariance, fitted, .. } = &sessions.combined;
-    let of_gravity = checks::gravity(model.terms(), covariance, *fitted, gravity, gravity_source);
-    outcome.findings.extend(of_gravity);
-    sessions.fill(&mut json);
-    let mut lines = sessions.lines();
-    let (method, g) = (options.method.name(), gravity_text(gravity));
-    lines.push(format!("{method}, {g}; ± is 1 σ of a new session"));
-    let file = sessions.file(options.utc_s);
-    let mut report = CalibrationReport::new(title, outcome, String::new(), lines, json, file);
-    report.page.chart(&sessions.chart());
-    Ok(report)
+    let report = CalibrationReport::new(title, outcome, String::new(), lines, json, file);
+    Ok(report.draw(chart))
 }
 
 fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {

@@ -7,10 +7,12 @@ use wimu_model::{CalibratedTemperature, GyroscopeParameters};
 use super::describe::{gravity_text, parameter_lines, temperature_line};
 use super::file::Quality;
 use super::poses::{Fitting, Scale, rms};
-use super::report::{Grade, add_estimate, deviations_of, sphere};
+use super::report::{
+    Grade, add_estimate, deviations_of, orientation_json, orientation_text, sphere,
+};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
-    MethodChoice, NextPose, SensorCalibration, Session, Source, checks, gyroscope, magnitude,
+    MethodChoice, SensorCalibration, Session, Source, checks, gyroscope, magnitude,
 };
 use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
@@ -62,14 +64,14 @@ impl Solution<'_> {
         outcome.findings.append(&mut of_gyroscope);
         let (next_poses, worthwhile) = self.advice();
         let mut numbers = self.numbers();
-        numbers["next_poses"] = json!(next_poses);
+        numbers["next_poses"] = Value::from_iter(next_poses.iter().map(orientation_json));
         numbers["poses_worth_adding"] = json!(worthwhile);
         let (mut grade, mut file, mut lines) = (None, None, Vec::new());
         match &self.fit {
             Err(refusal) => {
                 outcome.refuse(self.reason(refusal));
                 lines.push(self.given());
-                lines.extend(next_poses.iter().take(SUGGESTED).map(ToString::to_string));
+                lines.extend(next_poses.iter().take(SUGGESTED).map(orientation_text));
             }
             Ok(estimate) => {
                 let found = Grade::new(estimate, &self.poses, options.target_mps2);
@@ -90,13 +92,10 @@ impl Solution<'_> {
             }
         }
         let title = format!("Calibration of {}", data.name);
-        let mut report =
-            CalibrationReport::new(title, outcome, String::new(), lines, numbers, file);
-        if !self.poses.is_empty() {
-            let rejected = self.rejected();
-            report.page.chart(&self.residual_chart());
-            report.page.chart(&sphere(&self.poses, &rejected, &next_poses));
-        }
+        let charts = [self.residual_chart(), sphere(&self.poses, &self.rejected(), &next_poses)];
+        let charts = charts.into_iter().filter(|_| !self.poses.is_empty());
+        let report = CalibrationReport::new(title, outcome, String::new(), lines, numbers, file);
+        let mut report = report.draw(charts);
         (report.grade, report.next_poses, report.gyroscope) = (grade, next_poses, gyroscope);
         (report.poses, report.estimate) = (self.poses, self.fit.ok());
         report
@@ -206,15 +205,15 @@ impl Solution<'_> {
         lines
     }
 
-    fn more_poses(&self, worthwhile: usize, next: Option<&NextPose>) -> String {
+    fn more_poses(&self, worthwhile: usize, next: Option<&Orientation>) -> String {
         if self.options.method != MethodChoice::MultiPosition {
             return "place the sensor more accurately rather than adding poses".to_owned();
         }
         match (worthwhile, next) {
             (0, _) | (_, None) => "more poses would improve it little".to_owned(),
-            (1, Some(next)) => format!("one more pose is worthwhile: {}", next.instruction),
+            (1, Some(next)) => format!("one more pose is worthwhile: {}", next.instruction()),
             (more, Some(next)) => {
-                format!("{more} more poses are worthwhile; the next: {}", next.instruction)
+                format!("{more} more poses are worthwhile; the next: {}", next.instruction())
             }
         }
     }
@@ -284,7 +283,7 @@ impl Solution<'_> {
     }
 
     /// The poses that would resolve a refusal or improve the fit, and the number of worthwhile ones.
-    fn advice(&self) -> (Vec<NextPose>, usize) {
+    fn advice(&self) -> (Vec<Orientation>, usize) {
         if self.options.method != MethodChoice::MultiPosition {
             return (self.missing_sides(), 0);
         }
@@ -304,13 +303,13 @@ impl Solution<'_> {
         let next = |remaining| {
             let next = guide.next_of(remaining, |_| true)?;
             guide.take(next.up());
-            Some(next.into())
+            Some(next)
         };
         (((planned - count + 1)..=planned).rev().map_while(next).collect(), worthwhile)
     }
 
     /// The sides that six positions lack.
-    fn missing_sides(&self) -> Vec<NextPose> {
+    fn missing_sides(&self) -> Vec<Orientation> {
         let is_too_few = |refusal: &Refusal| matches!(refusal.reason, Reason::TooFew { .. });
         if self.options.method != MethodChoice::SixPosition
             || !self.fit.as_ref().is_err_and(is_too_few)
@@ -319,7 +318,7 @@ impl Solution<'_> {
         }
         let held = Vec::from_iter(self.poses.iter().filter_map(Face::of));
         let missing = Face::ALL.into_iter().filter(|face| !held.contains(face));
-        missing.map(|face| Orientation::from(face).into()).collect()
+        missing.map(Orientation::from).collect()
     }
 
     /// The terms that were fitted, or were requested.

@@ -1,6 +1,6 @@
 //! Check of a stored calibration against later rests, and its update.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use wimu_calib::{Ageing, Check, Parameter, Pose, SelfCheck};
 use wimu_model::{CalibrationQuality, ModelCovariance, ParameterSet, QualityTerms};
 
@@ -11,7 +11,7 @@ use crate::chart::{Band, Chart, Series};
 use crate::digits::signed_with_sd;
 use crate::problem::Outcome;
 use crate::recording::Samples;
-use crate::{Code, Result};
+use crate::{Code, Problem, Result};
 
 /// Checks a calibration with every rest in the data, at least one, in any orientations, and updates it. Its bias may have
 /// drifted by [`Ageing`] since it was made. `utc_s`, s since 1970 UTC, is the time of the update.
@@ -40,35 +40,21 @@ pub fn update(
     let found = Poses::find(data, scale).poses;
     let rests: Vec<(&Pose, Check)> =
         found.iter().filter_map(|pose| Some((pose, check.push(pose)?))).collect();
-    let mut outcome = Outcome::default();
-    for (k, (_, rest)) in rests.iter().enumerate().filter(|(_, (_, rest))| !rest.holds) {
-        let [residual, sd] = [rest.residual_mps2, rest.expected_sd_mps2].map(|mps2| mps2 * 1e3);
-        outcome.findings.push(Code::PosesLeftOut.warning(format!(
-            "rest {k} (from 0) contradicts the calibration: |f| − g {residual:+.2} mm/s², {sd:.2} expected (1 σ)"
-        )));
-    }
-    let (stored_id, rests_found) = (parameter_id(stored).to_string(), found.len());
-    let name = data.name;
-    let head = format!(
-        "{name}: {rests_found} rests against calibration {stored_id}, g = {} m/s²",
-        gravity.mps2()
-    );
-    let mut json = json!({
+    let mut outcome = Outcome { findings: contradicting(&rests), ..Outcome::default() };
+    let (name, count, stored_id) = (data.name, found.len(), parameter_id(stored).to_string());
+    let g = gravity.mps2();
+    let head = format!("{name}: {count} rests against calibration {stored_id}, g = {g} m/s²");
+    let mut numbers = json!({
         "source": name,
         "method": "update",
         "stored_id": stored_id,
-        "gravity_m_s2": gravity.mps2(),
-        "poses": rests_found,
+        "gravity_m_s2": g,
+        "poses": count,
         "contradictions": check.contradictions(),
-        "rests": Vec::from_iter(rests.iter().map(|(pose, rest)| json!({
-            "first_sample": pose.first_sample,
-            "residual_mm_s2": rest.residual_mps2 * 1e3,
-            "expected_sd_mm_s2": rest.expected_sd_mps2 * 1e3,
-            "holds": rest.holds,
-        }))),
+        "rests": Value::from_iter(rests.iter().map(rest_json)),
     });
     let (mut answer, mut file) = (Vec::new(), None);
-    match (refusal(rests_found, &rests), check.model()) {
+    match (refusal(count, &rests), check.model()) {
         (Some(reason), _) => outcome.refuse(reason),
         (None, Err(error)) => {
             outcome.refuse(format!("the update is not possible for an accelerometer: {error}"));
@@ -77,9 +63,9 @@ pub fn update(
             let sd = Parameter::ALL.map(|parameter| check.covariance().sd(parameter));
             let [before, now] = [&stored.model, &model].map(|model| model.terms().bias_mps2);
             let change = [0, 1, 2].map(|axis| now[axis] - before[axis]);
-            json["bias_change_m_s2"] = json!(change);
-            json["model"] = json!(model.terms());
-            json["sd"] = json!(sd);
+            numbers["bias_change_m_s2"] = json!(change);
+            numbers["model"] = json!(model.terms());
+            numbers["sd"] = json!(sd);
             answer.push(change_of_bias(change, &sd));
             let rms_mps2 = rms(rests.iter().map(|(_, rest)| rest.residual_mps2));
             let quality = updated(quality, &check, rms_mps2, utc_s);
@@ -88,11 +74,29 @@ pub fn update(
         }
     }
     let title = format!("Calibration {stored_id} against {name}");
-    let mut report = CalibrationReport::new(title, outcome, head, answer, json, file);
-    if !rests.is_empty() {
-        report.page.chart(&chart(&rests));
-    }
-    Ok(report)
+    let chart = (!rests.is_empty()).then(|| chart(&rests));
+    Ok(CalibrationReport::new(title, outcome, head, answer, numbers, file).draw(chart))
+}
+
+fn rest_json((pose, rest): &(&Pose, Check)) -> Value {
+    json!({
+        "first_sample": pose.first_sample,
+        "residual_mm_s2": rest.residual_mps2 * 1e3,
+        "expected_sd_mm_s2": rest.expected_sd_mps2 * 1e3,
+        "holds": rest.holds,
+    })
+}
+
+/// The rests that contradict the calibration.
+fn contradicting(rests: &[(&Pose, Check)]) -> Vec<Problem> {
+    let finding = |(k, (_, rest)): (usize, &(&Pose, Check))| {
+        let [residual, sd] = [rest.residual_mps2, rest.expected_sd_mps2].map(|mps2| mps2 * 1e3);
+        Code::PosesLeftOut.warning(format!(
+            "rest {k} (from 0) contradicts the calibration: |f| − g {residual:+.2} mm/s², {sd:.2} expected (1 σ)"
+        ))
+    };
+    let bad = rests.iter().enumerate().filter(|(_, (_, rest))| !rest.holds);
+    bad.map(finding).collect()
 }
 
 /// Why the rests do not support an update.

@@ -3,30 +3,29 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use wimu_calib::{Face, Orientation, Phase};
+use wimu_calib::{Face, Orientation, Pose};
 use wimu_link::Hello;
+use wimu_link::batch::Stream;
+use wimu_link::message::Event as Happened;
 use wimu_model::{ParameterId, ParameterSet};
 
-use super::poses::{Guidance, LivePoses, News, Plan, Uncertainty};
-use crate::Result;
-use crate::calibration::{self, CalibrateOptions, CalibrationReport};
+use super::capture::{Capture, Hold};
+use super::plan::{CAPACITY, Plan, Uncertainty};
+use crate::calibration::{self, CalibrationReport, MethodChoice};
+use crate::capture::Link;
 use crate::client::Client;
-use crate::decode::Arrival;
+use crate::decode::{Arrival, Event};
 use crate::live::LinkUpdate;
-use crate::problem;
+use crate::plural::counted;
 use crate::recording::{Recording, Selection};
 use crate::stats::norm;
 use crate::transport::Transport;
+use crate::{Result, problem};
 
 /// Poses that are added at a time. Chosen: a third of the usual number.
-pub const MORE: usize = 4;
+const MORE: usize = 4;
 /// File of the calibration where none was named.
 pub const DEFAULT_FILE: &str = "wimu-calibration.json";
-
-/// The file with the poses of a session whose calibration goes to `file`.
-pub fn poses_file(file: &Path) -> PathBuf {
-    file.with_extension("poses.csv")
-}
 
 /// Writes a calibration to a board, signed if this computer has its key, and verifies that the board holds it.
 ///
@@ -35,21 +34,6 @@ pub fn poses_file(file: &Path) -> PathBuf {
 pub fn push<T: Transport>(client: &mut Client<T>, set: &ParameterSet) -> Result<ParameterId> {
     client.use_own_key()?;
     client.push_verified(set)
-}
-
-/// Whether the board rests.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Hold {
-    /// No sample arrived yet.
-    #[default]
-    Waiting,
-    /// It moves.
-    Moving,
-    /// At rest for this long, of the duration of a capture, s.
-    Holding(f64, f64),
-    /// Captured: another orientation is needed.
-    Captured,
 }
 
 /// What a screen or a page shows of it.
@@ -87,13 +71,13 @@ pub struct GuidedView {
 
 /// A guided calibration. The poses are saved after each capture, so that those of an interrupted session can be calibrated.
 pub struct Guided {
-    options: CalibrateOptions,
+    plan: Plan,
     name: String,
     /// File of the poses.
     poses_file: PathBuf,
     /// File of the calibration.
     file: PathBuf,
-    /// Whether that file has the poses of an earlier session, which are kept as `.old.csv`.
+    /// Whether that of the poses has those of an earlier session, which are kept as `.old.csv`.
     has_earlier: bool,
     /// Whether poses are saved after each capture.
     pub saves: bool,
@@ -102,7 +86,9 @@ pub struct Guided {
     overwrite: bool,
     /// Why the poses could not be saved.
     unsaved: Option<String>,
-    live: LivePoses,
+    record: Link,
+    /// `None` before the rate of the samples is known.
+    capture: Option<Capture>,
     report: Option<CalibrationReport>,
     /// Number of poses at the latest attempt to calibrate.
     tried: Option<usize>,
@@ -113,21 +99,16 @@ pub struct Guided {
 impl Guided {
     /// A session of the board `hello` at the link `name`, whose calibration goes to `file`.
     pub fn new(plan: Plan, hello: &Hello, name: &str, file: &Path) -> Self {
-        let poses_file = poses_file(file);
-        let mut view = GuidedView {
+        let poses_file = file.with_extension("poses.csv");
+        let view = GuidedView {
             device: format!("{} with {}, {} link", hello.board.name, hello.sensor.name, hello.role),
             sides: *plan.sides,
             wanted: plan.count,
+            message: plan.instruction(),
             ..GuidedView::default()
         };
-        view.message = match plan.guidance {
-            Guidance::Orientations => {
-                "hold the board as suggested, or in any other orientation".to_owned()
-            }
-            _ => plan.instruction(),
-        };
         Self {
-            options: plan.options().clone(),
+            plan,
             name: name.to_owned(),
             has_earlier: poses_file.exists(),
             poses_file,
@@ -136,7 +117,8 @@ impl Guided {
             written: false,
             overwrite: false,
             unsaved: None,
-            live: LivePoses::new(plan, hello),
+            record: Link::new(hello.role),
+            capture: None,
             report: None,
             tried: None,
             view,
@@ -156,28 +138,90 @@ impl Guided {
         }
         let mut any = false;
         for arrival in arrivals {
-            let (mut message, mut captured) = (None, false);
-            self.live.take(arrival, |live, news| match news {
-                News::Ready => {}
-                News::Skipped => message = Some("skipped by the board's button".to_owned()),
-                News::Captured(pose) => {
-                    captured = true;
-                    let side = Face::of(&pose).map(|side| format!(": {} up", live.plan.name(side)));
-                    message = Some(format!(
-                        "pose {} captured{}",
-                        live.poses().len(),
-                        side.unwrap_or_default()
-                    ));
-                }
-            });
-            self.view.message = message.unwrap_or(std::mem::take(&mut self.view.message));
-            if captured {
+            self.record.take(arrival);
+            if self.take_event(&arrival.event) {
                 any = true;
                 self.save();
             }
         }
         self.uncertainty();
         any
+    }
+
+    /// Returns whether a pose was captured.
+    fn take_event(&mut self, event: &Event) -> bool {
+        match (event, &mut self.capture) {
+            (Event::Epoch { epoch, .. }, None) if epoch.sensor == 0 => {
+                self.capture = Capture::new(epoch, self.plan.wanted());
+                self.suggest();
+                false
+            }
+            (Event::Samples(samples), Some(capture))
+                if samples.stream == Stream::Raw && samples.sensor == 0 =>
+            {
+                let ignored = capture.session.ignores_hold();
+                let mut any = false;
+                for sample in samples.iter() {
+                    let capture = self.capture.as_mut();
+                    if capture.is_some_and(|it| it.push(sample.value.map(f64::from))) {
+                        any = true;
+                        self.captured();
+                    }
+                }
+                // The rest of a hold whose pose was removed.
+                if ignored {
+                    self.drop_latest(samples.values.len() as u64);
+                }
+                any
+            }
+            (Event::Device { event: Happened::Marked { .. }, .. }, Some(capture)) => {
+                if capture.session.capture().is_some() {
+                    self.captured();
+                    return true;
+                }
+                self.skip();
+                self.view.message = "skipped by the board's button".to_owned();
+                false
+            }
+            _ => false,
+        }
+    }
+
+    /// Says that a pose was captured, and plans the next one.
+    fn captured(&mut self) {
+        let Some(pose) = self.capture.as_mut().and_then(Capture::captured) else { return };
+        let side = Face::of(&pose).map(|side| format!(": {} up", self.plan.sides[side as usize]));
+        let (count, side) = (self.poses().len(), side.unwrap_or_default());
+        self.view.message = format!("pose {count} captured{side}");
+        self.suggest();
+    }
+
+    /// Plans the next orientation, after a change of the poses: it takes milliseconds.
+    fn suggest(&mut self) {
+        let sides_left = self.sides_left();
+        let Some(capture) = &mut self.capture else { return };
+        capture.next = match self.plan.options.method {
+            MethodChoice::SixPosition => sides_left.first().map(|side| Orientation::from(*side)),
+            MethodChoice::MultiPosition => capture.session.next(),
+            MethodChoice::FourAngle | MethodChoice::ThreeAngle => None,
+        };
+    }
+
+    fn drop_latest(&mut self, count: u64) {
+        if let Some(capture) = &mut self.capture {
+            capture.kept = capture.kept.saturating_sub(count);
+        }
+        self.record.drop_latest_raw(usize::try_from(count).unwrap_or(usize::MAX));
+    }
+
+    fn poses(&self) -> &[Pose] {
+        self.capture.as_ref().map_or(&[], |capture| capture.session.poses())
+    }
+
+    /// The sides that were not captured yet, of six.
+    fn sides_left(&self) -> Vec<Face> {
+        let captured = Vec::from_iter(self.poses().iter().filter_map(Face::of));
+        Face::ALL.into_iter().filter(|side| !captured.contains(side)).collect()
     }
 
     /// Saves the poses after a change.
@@ -188,12 +232,11 @@ impl Guided {
         if std::mem::take(&mut self.has_earlier) {
             let _ = std::fs::rename(&self.poses_file, self.poses_file.with_extension("old.csv"));
         }
-        if self.live.poses().is_empty() {
+        if self.poses().is_empty() {
             let _ = std::fs::remove_file(&self.poses_file);
             return;
         }
-        let recording = self.live.recording(&self.name);
-        let saved = recording.and_then(|all| all.write_table(&self.poses_file));
+        let saved = self.recording().and_then(|all| all.write_table(&self.poses_file));
         self.unsaved = saved.err().map(|error| error.to_string());
         if let Some(error) = &self.unsaved {
             self.view.message = format!("the poses are not saved: {error}");
@@ -202,47 +245,49 @@ impl Guided {
 
     /// Brings the course of the uncertainty up to the number of poses.
     fn uncertainty(&mut self) {
-        let (Some(session), known) = (self.live.session(), &mut self.view.uncertainty) else {
-            return;
-        };
-        let wanted = session.poses().len() + 1;
+        let (Some(capture), known) = (&self.capture, &mut self.view.uncertainty) else { return };
+        let wanted = capture.session.poses().len() + 1;
         known.truncate(wanted);
         if known.len() < wanted {
-            let latest = self.live.plan.uncertainty(session);
-            known.resize(wanted, latest);
+            known.resize(wanted, self.plan.uncertainty(&capture.session));
         }
     }
 
-    /// Removes the latest pose.
+    /// Removes the latest pose with its samples.
     pub fn undo(&mut self) {
-        if self.live.undo() {
-            self.view.message =
-                "the latest pose is removed: rotate the board, then hold it still".to_owned();
-            self.save();
-            self.uncertainty();
-        } else {
-            self.view.message = "there is no pose to remove".to_owned()
-        }
+        let Some(samples) = self.capture.as_mut().and_then(Capture::undo) else {
+            self.view.message = "there is no pose to remove".to_owned();
+            return;
+        };
+        self.drop_latest(samples);
+        self.suggest();
+        self.view.message =
+            "the latest pose is removed: rotate the board, then hold it still".to_owned();
+        self.save();
+        self.uncertainty();
     }
 
     /// Skips the suggested orientation.
     pub fn skip(&mut self) {
-        self.live.skip();
+        self.capture.iter_mut().for_each(|capture| capture.session.skip());
+        self.suggest();
         self.view.message = "skipped: this orientation is not suggested again".to_owned();
     }
 
     /// Whether all poses were captured and no result was computed of them.
     pub fn is_due(&self) -> bool {
-        let is_new = self.tried != Some(self.live.poses().len());
-        self.report.is_none() && self.live.is_complete() && is_new
+        let count = self.poses().len();
+        let has_sides = !self.plan.is_of_sides() || self.sides_left().is_empty();
+        let is_complete = (has_sides && count >= self.plan.count) || count == CAPACITY;
+        self.report.is_none() && is_complete && self.tried != Some(count)
     }
 
     /// All samples so far.
     ///
     /// # Errors
-    /// Those of [`LivePoses::recording`].
+    /// Those of [`Recording::of_link`].
     pub fn recording(&self) -> Result<Recording> {
-        self.live.recording(&self.name)
+        Recording::of_link(&self.record, &self.name)
     }
 
     /// Computes the result of the poses so far; the view shows it, or why there is none.
@@ -250,9 +295,9 @@ impl Guided {
     /// # Errors
     /// Those of [`calibration::calibrate`].
     pub fn calibrate(&mut self) -> Result<()> {
-        self.tried = Some(self.live.poses().len());
+        self.tried = Some(self.poses().len());
         let report = self.recording().and_then(|data| {
-            calibration::calibrate(&data.samples(Selection::default())?, &self.options)
+            calibration::calibrate(&data.samples(Selection::default())?, &self.plan.options)
         });
         let report = report.inspect_err(|error| {
             self.view.message = format!("no calibration: {}", error.text);
@@ -266,23 +311,25 @@ impl Guided {
         Ok(())
     }
 
-    /// Goes back to the poses for [`MORE`].
+    /// Goes back to the poses for four more.
     pub fn more(&mut self) {
-        let before = self.live.plan.count;
-        self.live.extend(MORE);
-        self.view.wanted = self.live.plan.count;
+        let before = self.plan.count;
+        self.plan.count = (before + MORE).min(CAPACITY);
+        let wanted = self.plan.wanted();
+        self.capture.iter_mut().for_each(|capture| capture.session.want(wanted));
+        self.view.wanted = self.plan.count;
         (self.report, self.view.result, self.tried) = (None, None, None);
         self.view.message = format!(
             "{before} + {} = {} poses are wanted now, for a smaller uncertainty; finish earlier if you like",
-            self.view.wanted - before,
-            self.view.wanted
+            self.plan.count - before,
+            self.plan.count
         );
     }
 
-    /// Writes the calibration; a file of an earlier session only once it was `asked` for twice.
-    pub fn write(&mut self, asked: bool) {
+    /// Writes the calibration; a file of an earlier session only when it is asked for twice.
+    pub fn write(&mut self) {
         let path = &self.file;
-        if asked && !self.written && path.exists() && !self.overwrite {
+        if !self.written && path.exists() && !self.overwrite {
             self.overwrite = true;
             self.view.message = format!("{} exists: write again to overwrite it", path.display());
             return;
@@ -312,27 +359,19 @@ impl Guided {
 
     /// Brings the view up to date with the samples.
     pub fn refresh(&mut self) {
-        let live = &self.live;
-        let poses = live.poses().iter();
-        self.view.poses = poses.filter_map(|pose| unit(pose.mean_mps2)).collect();
-        self.view.up = live.output_mps2().and_then(unit);
-        let samples = |count: u32| f64::from(count) / live.rate_hz();
-        let session = live.session().filter(|_| self.view.lost.is_none());
-        self.view.hold = match (session, live.phase()) {
-            (None, _) => Hold::Waiting,
-            (_, Phase::WaitingForRest) => Hold::Moving,
-            (Some(session), Phase::Collecting { samples: held }) => {
-                Hold::Holding(samples(held), samples(session.capture_samples()))
-            }
-            _ => Hold::Captured,
-        };
-        let next = live.next();
-        self.view.instruction = live.plan.next_instruction(live.poses().len(), next);
+        let poses = self.poses();
+        let count = poses.len();
+        self.view.poses = poses.iter().filter_map(|pose| unit(pose.mean_mps2)).collect();
+        let capture = self.capture.as_ref();
+        let next = capture.and_then(|capture| capture.next);
+        self.view.up = capture.and_then(|capture| capture.output_mps2).and_then(unit);
+        let heard = capture.filter(|_| self.view.lost.is_none());
+        self.view.hold = heard.map_or(Hold::Waiting, Capture::hold);
+        self.view.instruction = self.plan.next_instruction(count, next);
         self.view.next = next.map(Orientation::up);
     }
 
-    /// Ends the session. Returns a sentence about the poses of an unfinished
-    /// one.
+    /// Ends the session. Returns a sentence about the poses of an unfinished one.
     pub fn end(&self) -> Option<String> {
         if self.report.is_some() {
             if self.view.pushed || self.written {
@@ -340,15 +379,15 @@ impl Guided {
             }
             return None;
         }
-        Some(match (self.live.poses().len(), &self.unsaved) {
-            (0, _) => "no pose was captured".to_owned(),
-            (_, Some(error)) => format!("the poses are not saved: {error}"),
-            (count, None) if self.saves => format!(
-                "{} saved in {}, which `wimu calibrate` reads",
-                crate::plural::counted(count, "pose"),
-                self.poses_file.display()
-            ),
-            (count, None) => format!("{} not saved", crate::plural::counted(count, "pose")),
+        let count = counted(self.poses().len(), "pose");
+        Some(match &self.unsaved {
+            _ if self.poses().is_empty() => "no pose was captured".to_owned(),
+            Some(error) => format!("the poses are not saved: {error}"),
+            None if self.saves => {
+                let path = self.poses_file.display();
+                format!("{count} saved in {path}, which `wimu calibrate` reads")
+            }
+            None => format!("{count} not saved"),
         })
     }
 
@@ -366,7 +405,7 @@ impl Guided {
 }
 
 /// The unit vector along `v`; `None` without a direction.
-pub fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
+fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
     let length = norm(v);
     (length > 1e-9 && length.is_finite()).then(|| v.map(|axis| axis / length))
 }

@@ -169,12 +169,12 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
     let sensitivity =
         sensitivity.transpose().map_err(|error| usage(error.to_string(), "check --sensitivity"))?;
     let data = match Input::parse(&arguments.input)? {
-        Input::File(path) => Paired::of_recording(
-            &formats::load(&path, &reading(arguments).0)?,
-            [arguments.reference, arguments.sensor],
-            sensitivity,
-        )?
-        .at_range(arguments.range),
+        Input::File(path) => {
+            let recording = formats::load(&path, &reading(arguments).0)?;
+            let chosen = [arguments.reference, arguments.sensor];
+            let range_g = arguments.range;
+            Paired { range_g, ..Paired::of_recording(&recording, chosen, sensitivity)? }
+        }
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
         Input::Link(_) => {
             return Err(usage(

@@ -70,13 +70,6 @@ pub fn run(action: &Params, output: &Output) -> Result<()> {
 pub fn push(client: &mut Connection, set: &ParameterSet, output: &Output) -> Result<()> {
     let before = client.held_parameters()?.map(|(_, set)| set);
     print_difference(before.as_ref(), set, output);
-    let unseen = calibration::not_observed(set);
-    if !unseen.is_empty() {
-        output.print(format!(
-            "not observed, pushed with the values of a perfect sensor: {}",
-            unseen.join(", ")
-        ));
-    }
     let id = client.push_verified(set)?;
     output.print(format!("pushed {id}"));
     Ok(())

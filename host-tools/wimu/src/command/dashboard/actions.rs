@@ -207,7 +207,7 @@ impl Board {
             Action::Finish if !has_result => guided.calibrate()?,
             Action::More if has_result => guided.more(),
             Action::WriteFile if usable => {
-                guided.write(true);
+                guided.write();
                 let (hub, list) = (&self.hub, self.folder.list());
                 hub.publish("files", &list);
             }

@@ -5,7 +5,7 @@
 extern crate alloc;
 
 mod alignment;
-pub mod array;
+mod array;
 mod combined;
 mod covariance;
 mod design;
@@ -42,6 +42,7 @@ mod visits;
 mod weights;
 
 pub use alignment::{AlignmentEstimate, KnownDirection, align, straight_move};
+pub use array::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, calibrate_array};
 pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use design::Guide;

@@ -87,13 +87,15 @@ fn start(spawner: Spawner) {
     let (channel, pin, ppi) = (chip.GPIOTE_CH0, chip.P0_25, chip.PPI_CH0);
     let line = Line::new(channel, pin, Pull::Up, Level::Low, ppi, fell);
     let i2c = wimu_nrf::sensor_bus(chip.TWISPI0, Interrupts, chip.P0_16, chip.P0_08);
-    let mut store = FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS);
+    let store = FlashStore::new(StoreFlash(Nvmc::new(chip.NVMC)), LAYOUT, PAUSE_MS);
     let [a, b, _wireless @ ..] = BUFFERS.init([[0; 128]; _]);
     let (timer, c, d, group) = (chip.TIMER1, chip.PPI_CH1, chip.PPI_CH2, chip.PPI_GROUP0);
     let (uart, rx, tx, config) = (chip.UARTE0, chip.P1_08, chip.P0_06, uarte::Config::default());
     let cable = BufferedUarte::new(uart, timer, c, d, group, rx, tx, Interrupts, config, a, b);
     #[cfg(not(feature = "full"))]
     let wireless = (wimu_node::NoLink, wimu_node::NoLink);
+    #[cfg(feature = "full")]
+    let mut store = store;
     #[cfg(feature = "full")]
     let wireless = {
         let [a, b] = _wireless;

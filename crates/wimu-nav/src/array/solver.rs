@@ -210,21 +210,31 @@ impl<const M: usize> ArraySolver<M> {
     /// can explain everything.
     pub fn excess(&self, output_mps2: &[f64; M], linear: &Linear) -> Option<f64> {
         let free = self.used.checked_sub(6 + self.rank).filter(|n| *n > 0)?;
-        let mut sum = 0.0;
-        for index in 0..M {
+        let rest = self.residuals(output_mps2, linear, &linear.z);
+        Some(inner(&rest, &rest) / free as f64)
+    }
+
+    /// What is left of each output, over its noise, with `z` explained of the reduced measurement; 0 for axes that are left out.
+    pub fn residuals(&self, output_mps2: &[f64; M], linear: &Linear, z: &[f64; 6]) -> [f64; M] {
+        let mut rest = [0.0; M];
+        for (index, rest) in rest.iter_mut().enumerate() {
             let weight = self.weights[index];
             if weight <= 0.0 {
                 continue;
             }
             let force = inner(&self.rows[index], &linear.theta);
-            let mut rest = (output_mps2[index] - force) * weight;
+            *rest = (output_mps2[index] - force) * weight;
             for row in 0..self.rank.min(6) {
                 // The columns of V are the rows of `to_z` without their weight.
-                rest -= self.to_z[row][index] / weight * linear.z[row];
+                *rest -= self.to_z[row][index] / weight * z[row];
             }
-            sum += rest * rest;
         }
-        Some(sum / free as f64)
+        rest
+    }
+
+    /// Axes in use.
+    pub fn used(&self) -> usize {
+        self.used
     }
 
     /// The linear part of the work, equations (71) and (72): all that a sample says.

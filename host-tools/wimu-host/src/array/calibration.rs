@@ -1,14 +1,13 @@
 //! Calibration of an array from the rests in its own recording, or as it is stored.
 
 use nalgebra::Vector3;
-use wimu_calib::Gravity;
-use wimu_calib::array::ArrayPrior;
+use wimu_calib::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
-use super::fit::{Fitted, at_rests, contradiction};
-use super::motion::{check, with_room};
+use super::agreement::contradiction;
+use super::motion::{check, refused};
 use super::outputs::{
-    AtRests, Moments, Span, common, departures, is_dead, is_throughout, moments, rms, scale_of,
+    AtRests, Span, common, departures, is_dead, is_throughout, pose, rms, scale_of,
     steady_stretches,
 };
 use super::rests::{EvenTurn, REST_BIAS_MPS2, judged};
@@ -104,7 +103,7 @@ impl ArrayCalibration {
 
     /// From the accelerometers alone, in body axes. A rest is an interval in which the mean of all sensors is steady and
     /// they agree with each other as at every other rest. Biases and matrices of all sensors are fitted to one
-    /// gravity vector per rest ([`wimu_calib::array`]). A sensor that is dead, or that contradicts the others, is left
+    /// gravity vector per rest ([`wimu_calib::calibrate_array`]). A sensor that is dead, or that contradicts the others, is left
     /// out; one that fails on the way counts as long as it lives. Where the geometry has error models,
     /// [`Array::arranged`] has applied them, and the fit finds what they leave.
     ///
@@ -132,28 +131,34 @@ impl ArrayCalibration {
         if judged.rests.is_empty() {
             return Err(without_rest(!judged.turns.is_empty()).at(&recording.name));
         }
-        let at_rest = |span: &Span| (0..sensors).map(|s| moments(recording, s, *span)).collect();
-        let seen: Vec<Vec<Option<Moments>>> = judged.rests.iter().map(at_rest).collect();
-        let outputs: AtRests = (seen.iter())
-            .map(|rest| rest.iter().map(|sensor| sensor.map(|(mean, _)| mean)).collect())
-            .collect();
+        let at_rest = |span: &Span| (0..sensors).map(|s| pose(recording, s, *span)).collect();
+        let mut seen: Vec<Vec<Option<Pose>>> = judged.rests.iter().map(at_rest).collect();
+        let mean = |pose: &Option<Pose>| pose.map(|pose| pose.mean_mps2.into());
+        let outputs: AtRests = seen.iter().map(|rest| rest.iter().map(mean).collect()).collect();
         let mut left_out: Vec<(usize, String)> =
             dead.iter().map(|sensor| (*sensor, "its output never moves".to_owned())).collect();
         let absent = |s: &usize| !dead.contains(s) && outputs.iter().all(|rest| rest[*s].is_none());
         let reason = "it has no output at any rest";
         left_out.extend((0..sensors).filter(absent).map(|sensor| (sensor, reason.to_owned())));
-        let noise_mps2 = (0..sensors).map(|sensor| {
-            let variances: Vec<f64> =
-                seen.iter().filter_map(|rest| Some(rest[sensor]?.1)).collect();
-            let noise = (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt();
-            if noise > 0.0 { noise } else { ASSUMED_NOISE_MPS2 }
-        });
+        let noise_mps2: Vec<f64> = (0..sensors)
+            .map(|sensor| {
+                let deviations = seen.iter().filter_map(|rest| Some(rest[sensor]?.sd_mps2[0]));
+                let variances: Vec<f64> = deviations.map(|sd| sd * sd).collect();
+                let noise = (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt();
+                if noise > 0.0 { noise } else { ASSUMED_NOISE_MPS2 }
+            })
+            .collect();
+        for (sensor, pose) in seen.iter_mut().flat_map(|rest| rest.iter_mut().enumerate()) {
+            if let Some(pose) = pose {
+                pose.sd_mps2 = [noise_mps2[sensor]; 3];
+            }
+        }
         let is_out = |sensor: usize| left_out.iter().any(|(out, _)| *out == sensor);
         let stored = !geometry.sensors.is_empty()
             && (0..sensors).all(|s| geometry.sensors[s].model.is_some() || is_out(s));
         let mut calibration = Self {
             sensors: vec![ErrorModel::default(); sensors],
-            noise_mps2: noise_mps2.collect(),
+            noise_mps2,
             rests: judged.rests,
             turns: judged.turns,
             unseen_rad_s: judged.unseen_rad_s,
@@ -177,7 +182,7 @@ impl ArrayCalibration {
             offsets: Vec::new(),
         };
         calibration.assume(&outputs);
-        calibration.fit(recording, geometry, &outputs)?;
+        calibration.fit(&seen, &outputs)?;
         calibration.take_off_offsets(&outputs);
         Ok(calibration)
     }
@@ -212,18 +217,16 @@ impl ArrayCalibration {
     }
 
     /// Fits biases and matrices to the rests; what they leave uncertain stays in `scale`.
-    fn fit(
-        &mut self,
-        recording: &Array,
-        geometry: &ArrayGeometry,
-        outputs: &AtRests,
-    ) -> Result<()> {
-        let mut prior = self.prior();
-        let fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<Fitted> {
-            let found =
-                with_room!(geometry.sensors.len(), at_rests(recording, geometry, of, prior))?;
-            for (model, found) in of.sensors.iter_mut().zip(&found.models) {
-                *model = found.unwrap_or_default();
+    fn fit(&mut self, seen: &[Vec<Option<Pose>>], outputs: &AtRests) -> Result<()> {
+        let mut prior = self.prior;
+        let fitted = |of: &mut Self, prior: &ArrayPrior| -> Result<ArrayEstimate> {
+            let mut rests = seen.to_vec();
+            for (sensor, pose) in rests.iter_mut().flat_map(|rest| rest.iter_mut().enumerate()) {
+                *pose = pose.filter(|_| of.uses(sensor));
+            }
+            let found = wimu_calib::calibrate_array(&rests, prior).map_err(refused)?;
+            for (model, found) in of.sensors.iter_mut().zip(&found.sensors) {
+                *model = found.model.unwrap_or_default();
             }
             Ok(found)
         };
@@ -253,7 +256,7 @@ impl ArrayCalibration {
             // An error that all sensors have is one of the scale in which gravity is measured.
             self.prior.gravity_mps2 = self.mean_length(outputs);
             self.prior.gravity_sd_mps2 = MOST_SCALE * STANDARD_GRAVITY_MPS2;
-            found = fitted(self, &self.prior())?;
+            found = fitted(self, &self.prior.clone())?;
             let learnt = (self.scale.powi(2) - found.matrix_sd.powi(2)).max(0.0);
             self.common_scale = (learnt / self.used().len().max(1) as f64).sqrt();
             self.scale = found.matrix_sd;
@@ -285,11 +288,11 @@ impl ArrayCalibration {
         outputs.iter().map(of_rest).collect()
     }
 
-    fn fit_of(&self, sensor: usize, outputs: &AtRests, found: &Fitted) -> SensorFit {
+    fn fit_of(&self, sensor: usize, outputs: &AtRests, found: &ArrayEstimate) -> SensorFit {
         let outputs = outputs.iter().filter_map(|rest| rest[sensor]);
         let off = outputs.map(|o| self.model_force(sensor, o).norm() - self.prior.gravity_mps2);
         let off: Vec<f64> = off.collect();
-        let (bias_sd_mps2, matrix_sd) = found.model_sd[sensor];
+        let ArraySensorEstimate { bias_sd_mps2, matrix_sd, .. } = found.sensors[sensor];
         SensorFit {
             rests: off.len(),
             rms_mps2: (off.iter().map(|o| o * o).sum::<f64>() / off.len().max(1) as f64).sqrt(),
@@ -314,14 +317,10 @@ impl ArrayCalibration {
         }
     }
 
-    /// Prior of a fit of the whole recording.
-    pub(super) fn prior(&self) -> ArrayPrior {
-        ArrayPrior { position_m: self.place_sd_m, delay_s: self.delay_sd_s, ..self.prior }
-    }
-
     /// Mean length of the mean output at the rests, m/s².
     pub fn mean_rest_mps2(&self, recording: &Array) -> f64 {
-        let mean = |span: &Span, sensor: usize| Some(moments(recording, sensor, *span)?.0);
+        let mean =
+            |span: &Span, sensor: usize| Some(pose(recording, sensor, *span)?.mean_mps2.into());
         let sensors = recording.sensors();
         let of_rest = |span: &Span| (0..sensors).map(|sensor| mean(span, sensor)).collect();
         self.mean_length(&self.rests.iter().map(of_rest).collect())
@@ -398,6 +397,13 @@ impl ArrayCalibration {
     pub(super) fn offset_of(&self, index: usize) -> usize {
         let rest = self.rests.partition_point(|(first, _)| *first <= index);
         rest.saturating_sub(1)
+    }
+
+    /// Whether a sample is one of a rest.
+    pub(super) fn is_rest(&self, index: usize) -> bool {
+        self.rests[..self.rests.partition_point(|(first, _)| *first <= index)]
+            .last()
+            .is_some_and(|(first, count)| index < first + count)
     }
 
     /// Whether a sensor is of use.

@@ -4,8 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use wimu_nav::array::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Axis, Geometry};
 
 use super::calibration::BIAS_MPS2;
-use super::fit::{Agreement, Fitted};
-use super::{Array, ArrayCalibration, ArrayGeometry};
+use super::{Agreement, Array, ArrayCalibration, ArrayGeometry};
 use crate::inertial::Zupt;
 use crate::plural::counted;
 use crate::{Code, Problem, Result};
@@ -28,42 +27,28 @@ macro_rules! with_room {
 }
 pub(super) use with_room;
 
-/// A recording of an array in body axes ([`Array::arranged`]) with its geometry and calibration, fitted to the motion of
-/// one rigid body: equation (99).
+/// A recording of an array in body axes ([`Array::arranged`]) with its geometry and calibration.
 #[derive(Debug)]
 pub struct ArrayBody<'a> {
     recording: &'a Array,
     geometry: &'a ArrayGeometry,
     calibration: &'a ArrayCalibration,
-    agreement: Option<Agreement>,
-    /// Standard deviation of a coordinate of the positions, m.
-    place_sd_m: f64,
+    /// Agreement of the sensors; `None` with too few samples in motion, or where motion explains everything.
+    pub agreement: Option<Agreement>,
 }
 
 impl<'a> ArrayBody<'a> {
-    /// Fits the recording.
+    /// Judges whether the sensors agree.
     ///
     /// # Errors
-    /// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry
-    /// shows no angular rate.
+    /// Those of [`Agreement::of`].
     pub fn of(
         recording: &'a Array,
         geometry: &'a ArrayGeometry,
         calibration: &'a ArrayCalibration,
     ) -> Result<Self> {
-        let fitted = Fitted::of(recording, geometry, calibration, &calibration.prior())?;
-        Ok(Self {
-            recording,
-            geometry,
-            calibration,
-            place_sd_m: fitted.shown_position_sd_m(calibration, calibration.place_sd_m),
-            agreement: fitted.agreement,
-        })
-    }
-
-    /// Agreement of the sensors; `None` where too few samples are in motion, or motion explains everything.
-    pub fn agreement(&self) -> Option<&Agreement> {
-        self.agreement.as_ref()
+        let agreement = Agreement::of(recording, geometry, calibration)?;
+        Ok(Self { recording, geometry, calibration, agreement })
     }
 
     /// What the filter of the array knows after each sample, from the samples up to it, and what it met on
@@ -183,7 +168,7 @@ pub(super) fn axes_of<const M: usize>(
 
 /// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used or at its limit
 /// is not a number.
-fn sample<const M: usize>(
+pub(super) fn sample<const M: usize>(
     recording: &Array,
     calibration: &ArrayCalibration,
     index: usize,
@@ -244,7 +229,9 @@ fn filtered<const M: usize>(
             / (used.max(1) as f64).sqrt(),
         scale: calibration.scale,
         common_scale: calibration.common_scale,
-        place_sd_m: body.place_sd_m,
+        place_sd_m: body.agreement.as_ref().map_or(calibration.place_sd_m, |agreement| {
+            agreement.place_sd_m(calibration.place_sd_m)
+        }),
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };

@@ -1,7 +1,7 @@
 //! Outputs of the sensors of an array at rest, and their departures from each other: equation (104).
 
 use nalgebra::Vector3;
-use wimu_calib::find_poses;
+use wimu_calib::{Pose, find_poses};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use super::Array;
@@ -13,8 +13,6 @@ const PART_SAMPLES: usize = 16;
 
 /// First sample and number of samples.
 pub(super) type Span = (usize, usize);
-/// Mean, m/s², and mean variance about it, m²/s⁴.
-pub(super) type Moments = (Vector3<f64>, f64);
 /// Values at each rest, of each sensor, m/s²; none where a sensor has no output.
 pub(super) type AtRests = Vec<Vec<Option<Vector3<f64>>>>;
 
@@ -85,8 +83,9 @@ pub(super) fn steady_stretches(recording: &Array, dead: &[usize]) -> Vec<Span> {
         .collect()
 }
 
-/// Mean of a sensor over a span, and its mean variance about it; `None` where it has no output for the most part.
-pub(super) fn moments(recording: &Array, sensor: usize, (first, count): Span) -> Option<Moments> {
+/// Mean of a sensor over a span, and its deviation about it, the same for all axes; `None` where it has no output for the
+/// most part.
+pub(super) fn pose(recording: &Array, sensor: usize, (first, count): Span) -> Option<Pose> {
     let rows = (first..first + count).filter(|k| recording.has(*k, sensor));
     let rows: Vec<Vector3<f64>> = rows.map(|k| recording.output(k, sensor)).collect();
     if rows.len() < 2 || rows.len() * 4 < count {
@@ -94,12 +93,13 @@ pub(super) fn moments(recording: &Array, sensor: usize, (first, count): Span) ->
     }
     let mean = mean(rows.iter().copied());
     let squares = rows.iter().map(|row| (row - mean).norm_squared()).sum::<f64>();
-    Some((mean, squares / (3 * rows.len()) as f64))
+    let sd = (squares / (3 * rows.len()) as f64).sqrt();
+    Some(Pose { sd_mps2: [sd; 3], samples: rows.len() as u32, ..Pose::from_mean(mean.into()) })
 }
 
 /// Whether a sensor gives output all through a span, and not only for a part of it.
 pub(super) fn is_throughout(recording: &Array, sensor: usize, (first, count): Span) -> bool {
     let mut whole =
         (0..count / PART_SAMPLES).map(|part| (first + part * PART_SAMPLES, PART_SAMPLES));
-    whole.all(|part| moments(recording, sensor, part).is_some())
+    whole.all(|part| pose(recording, sensor, part).is_some())
 }

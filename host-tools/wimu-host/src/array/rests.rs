@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use wimu_nav::array::ArraySolver;
 
 use super::motion::{axes_of, with_room};
-use super::outputs::{Span, mean, moments};
+use super::outputs::{Span, mean, pose};
 use super::{Array, ArrayGeometry};
 use crate::Result;
 use crate::stats::{median, norm};
@@ -71,9 +71,9 @@ impl<const M: usize> Mean<M> {
     fn of(recording: &Array, span: Span, used: &[bool]) -> Self {
         let (mut output, mut variance, mut count) = ([0.0; M], 0.0, 0.0);
         for sensor in (0..used.len()).filter(|s| used[*s]) {
-            if let Some((mean, own)) = moments(recording, sensor, span) {
-                output[3 * sensor..3 * sensor + 3].copy_from_slice(mean.as_slice());
-                variance += own;
+            if let Some(pose) = pose(recording, sensor, span) {
+                output[3 * sensor..3 * sensor + 3].copy_from_slice(&pose.mean_mps2);
+                variance += pose.sd_mps2[0].powi(2);
                 count += 1.0;
             }
         }

@@ -3,7 +3,7 @@
 use wimu_calib::Gravity;
 use wimu_model::{ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use super::{Array, ArrayBody, ArrayCalibration, ArrayGeometry, ArraySensor};
+use super::{Agreement, Array, ArrayCalibration, ArrayGeometry, ArraySensor};
 use crate::{Code, Problem, Result};
 
 /// Calibration of an array from a recording of rests.
@@ -42,7 +42,7 @@ pub fn calibrate_array(
     }
     let mut findings = Vec::new();
     // Whoever navigates with these positions would be refused.
-    if let Some(agreement) = ArrayBody::of(&arranged, &geometry, &calibration)?.agreement() {
+    if let Some(agreement) = Agreement::of(&arranged, &geometry, &calibration)? {
         agreement.check(&recording.name)?;
         findings.extend(agreement.findings());
     }

@@ -51,12 +51,11 @@ pub fn navigate_array(
     if choice.smooth {
         body.smooth_rates(&mut states, gravity, choice.zupt)?;
     }
-    let agreement = body.agreement();
-    match agreement {
+    match &body.agreement {
         Some(agreement) => agreement.check(&recording.name)?,
         None => calibration.check(&recording.name)?,
     }
-    let findings = agreement.map_or_else(
+    let findings = body.agreement.as_ref().map_or_else(
         || {
             let text = "whether the sensors are where the geometry says was not checked: the array hardly turned, or its \
                         sensors are too few to contradict each other";

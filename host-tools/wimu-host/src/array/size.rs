@@ -2,8 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::motion::Rate;
-
 /// Length of a window over which ω̇ is integrated, s.
 const WINDOW_S: f64 = 0.1;
 /// Fewer windows do not decide.
@@ -15,7 +13,8 @@ const BOUND_SD: f64 = 3.0;
 /// [KL].
 #[derive(Default)]
 pub(super) struct SizeTest {
-    last: Option<(f64, Rate)>,
+    /// Time, ω and ω̇ of the sample before.
+    last: Option<(f64, [Vector3<f64>; 2])>,
     /// Time and ω at which the window begins, and ∫ω̇ dt since.
     begin_s: f64,
     begin: Vector3<f64>,
@@ -29,16 +28,16 @@ pub(super) struct SizeTest {
 }
 
 impl SizeTest {
-    /// Adds the next sample in motion; its ω is known up to its sign.
-    pub fn push(&mut self, time_s: f64, period_s: f64, rate: Option<&Rate>) {
+    /// Adds the next sample in motion with its ω, known up to its sign, and ω̇.
+    pub fn push(&mut self, time_s: f64, period_s: f64, rate: Option<[Vector3<f64>; 2]>) {
         let last = self.last.take().filter(|(last_s, _)| time_s - last_s < 1.5 * period_s);
-        let Some(Rate { mut omega, omega_dot }) = rate.cloned() else {
+        let Some([mut omega, omega_dot]) = rate else {
             return;
         };
         let mut ends = last.is_none();
-        if let Some((last_s, last)) = last {
-            let step = (last.omega_dot + omega_dot) * (0.5 * (time_s - last_s));
-            if (last.omega + step).dot(&omega) < 0.0 {
+        if let Some((last_s, [last_omega, last_dot])) = last {
+            let step = (last_dot + omega_dot) * (0.5 * (time_s - last_s));
+            if (last_omega + step).dot(&omega) < 0.0 {
                 omega = -omega;
             }
             self.integral += step;
@@ -51,23 +50,23 @@ impl SizeTest {
                 self.windows += 1.0;
             }
         } else {
-            self.product += libm::fabs(core::mem::take(&mut self.run));
+            self.product += std::mem::take(&mut self.run).abs();
         }
         if ends {
             (self.begin_s, self.begin, self.integral) = (time_s, omega, Vector3::zeros());
         }
-        self.last = Some((time_s, Rate { omega, omega_dot }));
+        self.last = Some((time_s, [omega, omega_dot]));
     }
 
     /// Bounds of the size of the geometry over that of the array: the square of the slope of Δω over ∫ω̇ dt.
     pub fn bounds(&self) -> Option<[f64; 2]> {
-        let product = self.product + libm::fabs(self.run);
+        let product = self.product + self.run.abs();
         let [change, integral] = self.squares;
         // Slope of the regression on the variable with the sum of squares `x`, less its deviations.
         let slope = |x: f64, y: f64| {
             let slope = product / x;
             let variance = (y / x - slope * slope).max(0.0) / (3.0 * self.windows);
-            slope - BOUND_SD * libm::sqrt(variance)
+            slope - BOUND_SD * variance.sqrt()
         };
         let [least, inverse] = [slope(integral, change), slope(change, integral)];
         let known = self.windows >= LEAST_WINDOWS && least > 0.0 && inverse > 0.0;

@@ -21,7 +21,7 @@ use crate::state::{ATTITUDE, HEADING, Layout, POSITION, Role, VELOCITY};
 use model::Model;
 
 /// Standard deviation of the constant velocity at rests with [`Rests::ConstantVelocity`], m/s: a slow hand.
-const HIDDEN_VELOCITY: f64 = 0.1;
+pub(crate) const HIDDEN_VELOCITY: f64 = 0.1;
 /// Standard deviation of the velocity of a start at rest and in motion, m/s: walking speed.
 const REST_VELOCITY: f64 = 1e-3;
 const MOVING_VELOCITY: f64 = 1.5;
@@ -29,9 +29,9 @@ const MOVING_VELOCITY: f64 = 1.5;
 const START_HEADING: f64 = 1e-3;
 const START_POSITION: f64 = 1e-4;
 /// Standard deviation of the velocity at a rest, m/s, a component: assumption of reference/estimator.
-const REST_SPEED: f64 = 0.01;
+pub(crate) const REST_SPEED: f64 = 0.01;
 /// Interval of updates at rests, s: the window of the detector, so that they are independent.
-const REST_INTERVAL_S: f64 = 0.25;
+pub(crate) const REST_INTERVAL_S: f64 = 0.25;
 /// Speeds of the profiles, m/s, a component, and interval of the updates with the profile's bounds, s.
 const HAND_SPEED: f64 = 2.0;
 const VEHICLE_SPEED: f64 = 30.0;
@@ -39,8 +39,8 @@ const BOUND_INTERVAL_S: f64 = 1.0;
 /// A step beyond this is a gap, s: a hand's acceleration is not constant over it.
 const GAP_S: f64 = 0.1;
 /// Speed beyond which the filter has diverged, m/s: that of an airliner. Standard deviation of the position then, m.
-const DIVERGED_SPEED: f64 = 300.0;
-const LOST_POSITION: f64 = 1e4;
+pub(crate) const DIVERGED_SPEED: f64 = 300.0;
+pub(crate) const LOST_POSITION: f64 = 1e4;
 /// A rest of which every update of such a time failed its test is certain, s, if the last accepted one was so long before
 /// that the velocity may have drifted, s. Otherwise the unit moves at a constant velocity, for at most the last time, s.
 const CERTAIN_REST_S: f64 = 1.5;

@@ -13,7 +13,7 @@ use super::solver::{ArraySolver, Linear};
 use super::state::{ArrayConfig, ArrayFault, ArrayState};
 use crate::filter::Filter;
 use crate::mixture::Mixture;
-use crate::navigator::Rests;
+use crate::navigator::{HIDDEN_VELOCITY, Rests};
 use crate::process::{ArrayForce, RigidArray, RigidArrayBlocks};
 use crate::sensor::{ArrayNoise, Prior, ReducedArray};
 use crate::state::{ATTITUDE, Block, Layout, POSITION, Role, VELOCITY};
@@ -33,8 +33,6 @@ const LOST_RATE: f64 = 20.0;
 const GAP_S: f64 = 0.25;
 /// Deviations of angular rate, rad/s, and angular acceleration, rad/s², of a start, and after a gap.
 const START_ROTATION: [f64; 2] = [10.0, 100.0];
-/// Deviation of the constant velocity at rests, m/s, as for one unit.
-const HIDDEN_VELOCITY: f64 = 0.1;
 
 /// Means for the alignment.
 #[derive(Clone, Copy, Debug)]

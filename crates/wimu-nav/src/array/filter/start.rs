@@ -7,7 +7,7 @@ use crate::array::noise::Level;
 use crate::array::solver::Linear;
 use crate::filter::{Filter, Gate};
 use crate::mixture::Mixture;
-use crate::navigator::Rests;
+use crate::navigator::{DIVERGED_SPEED, LOST_POSITION, REST_INTERVAL_S, REST_SPEED, Rests};
 use crate::process::{RigidArray, RigidArrayBlocks, Unmeasured};
 use crate::rotation::level;
 use crate::sensor::{Known, Velocity, VerticalRate};
@@ -18,19 +18,14 @@ const ALIGN_S: f64 = 0.5;
 /// Start in motion: deviations of velocity, m/s, and tilt, rad.
 const MOVING_VELOCITY: f64 = 10.0;
 const MOVING_TILT: f64 = 1.0;
-/// At a rest, as means of half a second: velocity, m/s; angular rate, rad/s; angular acceleration, rad/s².
-const REST_SPEED: f64 = 0.01;
+/// At a rest, as means of half a second: angular rate, rad/s; angular acceleration, rad/s².
 const REST_ROTATION: [f64; 2] = [0.02, 0.1];
 const REST_S: f64 = 0.5;
 const ZERO_INTERVAL_S: f64 = 0.05;
-/// As for one unit: interval of the velocity updates, and how long a rest fails its test before it is certain, s.
-const REST_INTERVAL_S: f64 = 0.25;
+/// How long a rest fails its test before it is certain, s.
 const CERTAIN_REST_S: f64 = 0.25;
 /// Variance of an unknown heading, rad²: a uniform distribution.
 const HEADING_UNKNOWN: f64 = 3.29;
-/// Speed beyond which the filter has diverged, m/s, and deviation of the position then, m, as for one unit.
-const DIVERGED_SPEED: f64 = 300.0;
-const LOST_POSITION: f64 = 1e4;
 
 impl<const M: usize> ArrayFilter<M> {
     /// Alignment with the mean specific force; after a start in motion with that of the first rest.

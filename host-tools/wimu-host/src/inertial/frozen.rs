@@ -17,10 +17,10 @@ const REPEATS: usize = 16;
 const FEWEST: usize = 50;
 
 /// What a sensor gives in a sample.
-pub(super) type Sense = fn(&Sample) -> Option<Vector3<f64>>;
+pub(crate) type Sense = fn(&Sample) -> Option<Vector3<f64>>;
 
 /// Samples in which axes of a sensor repeat their last value, and what to say of them.
-pub(super) struct Frozen {
+pub(crate) struct Frozen {
     pub samples: Vec<usize>,
     pub text: String,
 }

@@ -49,6 +49,7 @@ pub use aids::{Aid, Aids};
 pub use array::navigate_array;
 pub use arrival::sampled_times;
 pub(crate) use clocks::{one_clock, other_clock};
+pub(crate) use frozen::Frozen;
 pub(crate) use holes::{FULL_SCALE_MPS2, Holes};
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;

@@ -70,10 +70,7 @@ pub fn navigate_array(
         said.push(format!("the array is {span:.1} m wide: are its places in m?"));
     }
     let said = said.into_iter().map(|text| Code::Geometry.note(text));
-    let mut path =
-        path_of(recording, &states, choice, warnings(remarks).chain(findings).chain(said))?;
-    path.smoothed_rate = choice.smooth;
-    Ok(path)
+    path_of(recording, &states, choice, warnings(remarks).chain(findings).chain(said))
 }
 
 /// Which point the path is that of, where that is not the origin of the places.
@@ -126,6 +123,7 @@ fn path_of(
         .collect();
     let origin = (0..states.len()).find(valid).unwrap_or(0);
     let mut path = InertialPath::new(Method::Array, points, origin, choice.limit_m);
+    path.smoothed_rate = choice.smooth;
     path.findings = warnings(recording.remarks.clone()).chain(said).collect();
     let ambiguous =
         states.iter().filter(|s| !s.resting && s.certainty > 0.0 && s.certainty < 0.99).count();

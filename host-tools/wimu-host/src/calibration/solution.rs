@@ -179,14 +179,18 @@ impl Solution<'_> {
         let [rms, fitted, largest] =
             [estimate.rms_mps2, estimate.fitted_rms_mps2, estimate.max_mps2]
                 .map(|mps2| significant(mps2 * 1e3, 3));
-        let all = match estimate.rejected[..] {
+        let all = match self.rejected()[..] {
             [] => String::new(),
             _ => format!(" ({rms} over all poses)"),
         };
+        let size = |k: &usize| estimate.residual_mps2(&self.poses[*k]).abs();
+        let worst = (0..self.poses.len()).max_by(|a, b| size(a).total_cmp(&size(b)));
         let mut lines = vec![format!(
             "in sample {fitted} mm/s² rms{all}, largest {largest} at pose {} (from 0); condition {:.1}, {} degrees of \
              freedom; ± is 1 σ of this session",
-            estimate.worst_pose, estimate.condition, estimate.dof
+            worst.unwrap_or_default(),
+            estimate.condition,
+            estimate.dof
         )];
         if let Some(drift) = &estimate.drift {
             let [x, y, z] = drift.change_mps2.map(|axis| signed(axis * 1e3, 3));

@@ -110,7 +110,7 @@ fn what_cannot_be_fitted_is_refused_with_its_reason() {
         calibrate_array(rests, prior).unwrap_err().reason
     };
     let none = ArrayPrior { matrix: f64::NAN, ..prior() };
-    assert_eq!(refused(&[rest.clone()], &none), Reason::Input { index: 0 });
+    assert_eq!(refused(std::slice::from_ref(&rest), &none), Reason::Input { index: 0 });
     assert_eq!(refused(&[], &prior()), Reason::TooFew { have: 0, need: 1 });
     assert_eq!(refused(&[vec![None; 2]], &prior()), Reason::TooFew { have: 0, need: 1 });
     assert_eq!(refused(&[rest, vec![None]], &prior()), Reason::Input { index: 1 });

@@ -13,10 +13,10 @@ use crate::{Code, Problem, Result};
 const CONTRADICTION: f64 = 0.15;
 /// Error of the size of a geometry that is reported: it makes the angular rate wrong by half of it.
 const SIZE: f64 = 0.1;
-/// Samples count where the sensors differ by this many times their noise, and by this, m/s².
+/// A sample is tested if the standard deviation between the sensors exceeds this multiple of their noise, and this, m/s².
 const NOISES: f64 = 10.0;
 const LEAST_MPS2: f64 = 0.3;
-/// Fewer samples do not decide.
+/// Smallest number of tested samples for a result.
 const LEAST_SAMPLES: usize = 50;
 /// ω counts as observed from this many of its standard deviations on.
 const OBSERVED_SD: f64 = 5.0;
@@ -24,7 +24,7 @@ const OBSERVED_SD: f64 = 5.0;
 /// Agreement of the outputs of a moving array with the motion of one rigid body, equation (101).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agreement {
-    /// Samples in which the sensors differ by far more than their noise.
+    /// Samples tested: those whose variance between the sensors exceeds what noise and scale factors explain.
     pub samples: usize,
     /// Fraction of the variance among the sensors that no motion explains.
     pub unexplained: f64,
@@ -122,7 +122,7 @@ fn agreement<const M: usize>(
     let variance = solver.variance_mps2();
     // Where the sensors differ by less, errors of their scale factors alone look like a contradiction.
     let scale = calibration.scale * STANDARD_GRAVITY_MPS2;
-    let least_mps2 =
+    let least_variance =
         (NOISES * NOISES * variance + scale * scale / CONTRADICTION).max(LEAST_MPS2 * LEAST_MPS2);
     let sensors: Vec<usize> = (0..recording.sensors()).filter(|sensor| used(*sensor)).collect();
     let (mut count, mut unexplained, mut square, mut weights) = (0, 0.0, 0.0, 0.0);
@@ -137,22 +137,22 @@ fn agreement<const M: usize>(
         let moving = Moving::of(&solver, &output);
         let time_s = recording.times()[index].s();
         size.push(time_s, recording.period_s(), moving.rate);
-        let apart_mps2 = variance_among(&output, &sensors);
-        if apart_mps2 < least_mps2 {
+        let between_sensors = variance_between(&output, &sensors);
+        if between_sensors < least_variance {
             continue;
         }
         let left = moving.residuals.iter().map(|r| r * r).sum::<f64>() / degrees as f64;
         let weight = 1.0 / left.max(1.0);
         (count, weights) = (count + 1, weights + weight);
         square += weight * left;
-        if let Some([rate, turn]) = moving.rate {
+        if let Some([rate, acceleration]) = moving.rate {
             beyond_noise += (left - 1.0) * variance;
-            by_place += (rate.norm_squared().powi(2) + turn.norm_squared()) / 1.5;
+            by_place += (rate.norm_squared().powi(2) + acceleration.norm_squared()) / 1.5;
         }
-        let apart = apart_mps2 / variance;
-        unexplained += left / apart;
+        let noise_ratio = between_sensors / variance;
+        unexplained += left / noise_ratio;
         for (axis, residual) in moving.residuals.iter().enumerate().take(3 * by_sensor.len()) {
-            by_sensor[axis / 3] += residual * residual / apart;
+            by_sensor[axis / 3] += residual * residual / noise_ratio;
         }
     }
     let worst = (0..by_sensor.len()).max_by(|a, b| by_sensor[*a].total_cmp(&by_sensor[*b]));
@@ -170,8 +170,8 @@ fn agreement<const M: usize>(
     }))
 }
 
-/// Variance among the sensors, mean over the axes, (m/s²)².
-fn variance_among<const M: usize>(output: &[f64; M], sensors: &[usize]) -> f64 {
+/// Variance between the sensors, mean over the axes, (m/s²)².
+fn variance_between<const M: usize>(output: &[f64; M], sensors: &[usize]) -> f64 {
     let count = sensors.len() as f64;
     let of_axis = |axis: usize| {
         let values = || sensors.iter().map(|sensor| output[3 * sensor + axis]);

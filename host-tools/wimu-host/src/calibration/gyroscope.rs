@@ -73,7 +73,7 @@ struct Fit {
     lsb: Option<f64>,
 }
 
-/// The estimate in the unit of the data, or that which fits; why there is none.
+/// The estimate in the unit of the data; of counts without one, at the usual sensitivity that fits best. Errors are findings.
 fn fit(
     data: &Samples<'_>,
     track: &Track,

@@ -92,7 +92,7 @@ fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
     Ok(())
 }
 
-/// The calibration of each session, all with one gravity and sensitivity; why there is none, if one is refused.
+/// The calibration of each session with common gravity and sensitivity; the refusal of the first session that has none.
 fn each(
     data: &[Samples<'_>],
     options: &CalibrateOptions,

@@ -109,7 +109,7 @@ impl ArrayCalibration {
     ///
     /// # Errors
     /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
-    /// another number of sensors, or more than 16.
+    /// another number of sensors.
     pub fn of(recording: &Array, geometry: &ArrayGeometry, gravity: Gravity) -> Result<Self> {
         check(recording, geometry)?;
         let sensors = recording.sensors();

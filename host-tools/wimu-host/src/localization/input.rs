@@ -122,8 +122,9 @@ impl RangeRecording {
             );
         }
         if samples.is_empty() {
-            let remedy = "check the names of the anchors in both files";
-            return Err(table.empty("there is no range to a known anchor", remedy));
+            let remedy = "check the ranges, and the names of the anchors in both files";
+            let why = findings.first().map_or("there is no range to a known anchor", |f| &f.text);
+            return Err(table.empty(why, remedy));
         }
         Ok(Self {
             name: table.name,

@@ -172,7 +172,7 @@ pub enum UnitHint {
 impl fmt::Display for UnitHint {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::G => "which looks like g, not m/s²: name the unit g (`--units g`)",
+            Self::G => "which looks like g, not m/s²: name it in the columns, `(g)`, or by `--units g`",
             Self::Mps2TakenForG => {
                 "which looks like m/s² converted as if it were g: `--units m/s2`; or the \
                  sensitivity is ten times too small"

@@ -427,8 +427,8 @@ impl ArrayCalibration {
 fn without_rest(turns: bool) -> Problem {
     let (message, remedy) = if turns {
         (
-            "the array rotates at a constant rate wherever its sensors are steady: without a rest neither biases nor gravity are observable",
-            "hold the array still for two seconds, in several orientations; check the places of the sensors",
+            "wherever its sensors are steady they differ as in a rotation at a constant rate, or contradict each other: without a rest neither biases nor gravity are observable",
+            "hold the array still for two seconds, in several orientations; if it was, check places, signs and directions of the sensors",
         )
     } else {
         (

@@ -47,7 +47,7 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
         return calibration(arguments, program, output);
     }
     let Some(to) = arguments.output.as_deref() else {
-        if Calibration::read(&arguments.input).is_ok() {
+        if arguments.to.is_none() && Calibration::read(&arguments.input).is_ok() {
             return Err(no_recording(arguments));
         }
         return Err(usage("no output file is given", "name one with -o FILE"));

@@ -1,5 +1,7 @@
 //! Experimental design, choice of the next orientations: equation (44).
 
+use alloc::vec::Vec;
+
 use nalgebra::{SMatrix, SVector};
 
 use crate::{Orientation, Parameter, Parameters, Pose};
@@ -23,7 +25,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Poses planned together.
-type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
+type Plan = Vec<Orientation>;
 
 /// Recommends the next orientation: the one that adds most information on the parameters (D-optimal
 /// design), given those taken so far. If the number of further poses is known,
@@ -139,7 +141,7 @@ impl Guide {
             let next = guide.next(&start)?;
             known += libm::log(1.0 + guide.variance(next.up()));
             guide.take(next.up());
-            let _ = plan.push(next);
+            plan.push(next);
         }
         for _ in 0..MOST_EXCHANGES {
             let mut better = false;

@@ -88,13 +88,6 @@ impl Orientation {
         all
     };
 
-    /// Index in [`Orientation::ALL`], 0..26.
-    pub fn index(self) -> usize {
-        let [x, y, z] = self.0.map(|sign| (sign + 1) as usize);
-        let code = x + 3 * y + 9 * z;
-        if code > 13 { code - 1 } else { code }
-    }
-
     /// Upside down.
     #[must_use]
     pub fn opposite(self) -> Self {

@@ -9,8 +9,6 @@ use wimu_model::STANDARD_GRAVITY_MPS2;
 use crate::calibration::{CalibrateOptions, Fitting, MethodChoice};
 use crate::{Code, Result};
 
-/// Capacity of a live calibration, poses.
-pub const CAPACITY: usize = 64;
 /// Default number of poses of a live calibration.
 const POSES: usize = 12;
 /// Default number of rotations: about two axes, so that the bias of each is observed.
@@ -118,11 +116,11 @@ impl Plan {
 
     /// Maximum number of poses of a session: each of six sides can be captured repeatedly.
     pub fn wanted(&self) -> usize {
-        if self.is_of_sides() { CAPACITY } else { self.count }
+        if self.is_of_sides() { usize::MAX } else { self.count }
     }
 
     /// Standard deviations after these poses: of the fit, or expected where they do not support one.
-    pub fn uncertainty(&self, session: &Session<CAPACITY>) -> Uncertainty {
+    pub fn uncertainty(&self, session: &Session) -> Uncertainty {
         let estimate = Fitting::new(&self.options).map(|fitting| fitting.of(session.poses()));
         let refusal = match estimate {
             Ok(Ok(estimate)) => {

@@ -10,7 +10,7 @@ use wimu_link::message::Event as Happened;
 use wimu_model::{ParameterId, ParameterSet};
 
 use super::capture::{Capture, Hold};
-use super::plan::{CAPACITY, Plan, Uncertainty};
+use super::plan::{Plan, Uncertainty};
 use crate::calibration::{self, CalibrationReport, MethodChoice};
 use crate::capture::Link;
 use crate::client::Client;
@@ -278,7 +278,7 @@ impl Guided {
     pub fn is_due(&self) -> bool {
         let count = self.poses().len();
         let has_sides = !self.plan.is_of_sides() || self.sides_left().is_empty();
-        let is_complete = (has_sides && count >= self.plan.count) || count == CAPACITY;
+        let is_complete = has_sides && count >= self.plan.count;
         self.report.is_none() && is_complete && self.tried != Some(count)
     }
 
@@ -314,14 +314,13 @@ impl Guided {
     /// Goes back to the poses for four more.
     pub fn more(&mut self) {
         let before = self.plan.count;
-        self.plan.count = (before + MORE).min(CAPACITY);
+        self.plan.count += MORE;
         let wanted = self.plan.wanted();
         self.capture.iter_mut().for_each(|capture| capture.session.want(wanted));
         self.view.wanted = self.plan.count;
         (self.report, self.view.result, self.tried) = (None, None, None);
         self.view.message = format!(
-            "{before} + {} = {} poses are wanted now, for a smaller uncertainty; finish earlier if you like",
-            self.plan.count - before,
+            "{before} + {MORE} = {} poses are wanted now, for a smaller uncertainty; finish earlier if you like",
             self.plan.count
         );
     }

@@ -48,7 +48,7 @@ fn set() -> ParameterSet {
 
 /// The export of `set`, of counts or of output in m/s².
 fn export(set: &ParameterSet, of_counts: bool, folder: &Path) -> CalibrationExport {
-    let mut file = Calibration::new(set, &[], "poses.csv");
+    let mut file = Calibration::held(set);
     if !of_counts {
         let accelerometer = &mut file.sensor_mut().accelerometer;
         accelerometer.unit = AccelerationUnit::Mps2;

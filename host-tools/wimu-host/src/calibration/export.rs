@@ -35,7 +35,7 @@ pub enum ExportTarget {
 /// use wimu_model::{ParameterSet, Sensitivity};
 ///
 /// let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
-/// let export = CalibrationExport::new(&Calibration::new(&set, &[], "poses.csv"));
+/// let export = CalibrationExport::new(&Calibration::held(&set));
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
 /// assert!(export.findings(ExportTarget::Ros).is_empty());
 /// ```

@@ -8,7 +8,6 @@ use core::mem::discriminant;
 
 use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 
-use crate::estimate::TermDeviations;
 use crate::terms;
 use crate::{Covariance, Estimate, Gravity, Parameter, Parameters, Reason, Refusal, Term, Terms};
 use regression::{Sessions, slope_of};
@@ -29,8 +28,8 @@ pub struct Combined {
     pub between_sd: [f64; 3],
     /// Degrees of freedom of `between_sd`; 0 of a group that was not fitted.
     pub dof: [f64; 3],
-    /// Standard deviations of the temperature coefficients; 0 where they were not estimated.
-    pub slope_sd: TermDeviations,
+    /// Standard deviations of the temperature coefficients, in the order of [`Term::ALL`]; 0 where they were not estimated.
+    pub term_sd: [[f64; 3]; Term::ALL.len()],
     /// Temperatures of the sessions, if all have one.
     pub temperature: Option<CalibratedTemperature>,
 }
@@ -74,14 +73,15 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
     let best = Parameter::ALL.map(|p| sessions.line(p, found[Group::of(p) as usize].variance));
 
     let mut theta = terms::theta_of(&estimates[0].model);
-    let mut slope_sd = TermDeviations::default();
+    let mut term_sd = [[0.0; 3]; Term::ALL.len()];
     for parameter in estimates[0].fitted.iter() {
         let i = parameter.index();
         theta[i] = best[i].at[0];
-        if let Some(slot) = slope_of(parameter) {
+        if let Some((slot, term)) = slope_of(parameter).and_then(|slot| Some((slot, slot.term()?)))
+        {
             let unit = if i < 3 { 1.0 } else { best[i].at[0] };
             theta[slot.index()] = best[i].at[1] / unit;
-            slope_sd.set(slot, lines[i].slope_sd() / unit);
+            term_sd[term as usize][slot.index() % 3] = lines[i].slope_sd() / unit;
         }
     }
     let model = model(&theta, &sessions)
@@ -98,7 +98,7 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
         covariance,
         between_sd: found.map(|between| libm::sqrt(between.variance)),
         dof: found.map(|between| between.dof),
-        slope_sd,
+        term_sd,
         temperature: sessions.temperature(),
     })
 }

@@ -1,10 +1,12 @@
 //! Covariance of an error model's parameters.
 
+use wimu_model::{ErrorTerms, TemperatureTerms};
+
 use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
-use crate::{Gravity, Parameter, Parameters};
+use crate::{Gravity, Parameter, Parameters, Term};
 
 /// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Covariance([[f64; Parameter::COUNT]; Parameter::COUNT]);
 
 impl Covariance {
@@ -21,6 +23,23 @@ impl Covariance {
     /// The full matrix, in the order of [`Parameter::ALL`].
     pub fn matrix(&self) -> &[[f64; Parameter::COUNT]; Parameter::COUNT] {
         &self.0
+    }
+
+    /// Standard deviations in the form of the model, with those of the terms in the order of [`Term::ALL`].
+    pub fn deviations(&self, terms: &[[f64; 3]; Term::ALL.len()]) -> ErrorTerms {
+        let sd = Parameter::ALL.map(|parameter| self.sd(parameter));
+        let [_, bias_mps2_per_k, scale_per_k, nonlinearity] = *terms;
+        ErrorTerms {
+            bias_mps2: [sd[0], sd[1], sd[2]],
+            matrix: [[sd[3], sd[4], sd[5]], [sd[6], sd[7], sd[8]], [sd[9], sd[10], sd[11]]],
+            temperature: TemperatureTerms {
+                reference_c: 0.0,
+                bias_mps2_per_k,
+                scale_per_k,
+                ..TemperatureTerms::default()
+            },
+            nonlinearity,
+        }
     }
 
     pub(crate) const ZERO: Self = Self([[0.0; Parameter::COUNT]; Parameter::COUNT]);
@@ -52,7 +71,8 @@ impl Covariance {
         }
     }
 
-    pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
+    /// Of a full matrix, in the order of [`Parameter::ALL`].
+    pub fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
         Self(*matrix)
     }
 

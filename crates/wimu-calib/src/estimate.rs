@@ -3,13 +3,13 @@
 use alloc::vec::Vec;
 use core::fmt;
 
-use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
+use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use crate::terms::{self, Slot, Terms, Theta};
+use crate::terms::{self, Term, Terms, Theta};
 use crate::{Covariance, Gravity, Parameter, Parameters, Pose, force, student};
 
 /// An error model and its quality.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {
     /// The error model.
@@ -25,8 +25,9 @@ pub struct Estimate {
     /// Covariance of the 12 parameters, including the uncertainty of gravity and of the terms; with
     /// drift at the last pose, with temperature terms at the reference temperature.
     pub covariance: Covariance,
-    /// Standard deviations of the terms.
-    pub term_sd: TermDeviations,
+    /// Standard deviations of the terms, in the order of [`Term::ALL`]: m/s² from the first pose to the last, m/s² per K,
+    /// 1/K and s²/m; 0 for those that were not fitted.
+    pub term_sd: [[f64; 3]; Term::ALL.len()],
     /// The reference gravity.
     pub gravity: Gravity,
     /// Number of fitted poses.
@@ -86,30 +87,14 @@ impl Estimate {
         Self {
             model,
             method,
-            terms: Terms::NONE,
-            fitted: Parameters::ALL,
-            assumed: Parameters::default(),
-            covariance: Covariance::ZERO,
-            term_sd: TermDeviations::default(),
             gravity,
-            poses: 0,
-            orientations: 0,
-            dof: 0,
-            interval_dof: None,
-            prior_shares: [0.0; Parameter::COUNT],
+            fitted: Parameters::ALL,
             rms_mps2: residuals.rms_mps2(),
             fitted_rms_mps2: residuals.rms_mps2(),
             max_mps2: residuals.largest_mps2,
             worst_pose: residuals.worst_pose,
-            loo_rms_mps2: None,
-            loo_orientation_rms_mps2: None,
-            pose_sd_mps2: 0.0,
-            rejected: Vec::new(),
             condition: 1.0,
-            worst_sd_mps2: 0.0,
-            temperature_c: None,
-            temperature_range_c: None,
-            drift: None,
+            ..Self::default()
         }
     }
 
@@ -125,14 +110,10 @@ impl Estimate {
         }
     }
 
-    /// Standard deviations of the parameters in the form of the model; for unobserved ones the
-    /// tolerance of typical datasheets.
-    pub fn sd(&self) -> Deviations {
-        let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
-        Deviations {
-            bias_mps2: [sd[0], sd[1], sd[2]],
-            matrix: [[sd[3], sd[4], sd[5]], [sd[6], sd[7], sd[8]], [sd[9], sd[10], sd[11]]],
-        }
+    /// Standard deviations of the parameters and terms in the form of the model: for unobserved ones the tolerance of
+    /// typical datasheets, 0 for terms that were not fitted.
+    pub fn sd(&self) -> ErrorTerms {
+        self.covariance.deviations(&self.term_sd)
     }
 
     /// Half width of the 95 % confidence interval of a parameter, in its unit: Student's t with
@@ -179,7 +160,7 @@ pub struct Drift {
 }
 
 /// Method of an estimate.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub enum Method {
     /// Six known orientations, 12 parameters.
@@ -196,6 +177,7 @@ pub enum Method {
         revisits: usize,
     },
     /// Any orientations, from the magnitude of gravity.
+    #[default]
     MultiPosition,
     /// Rotations in four steps about a horizontal axis: bias and scale factor of the axes in the
     /// plane.
@@ -212,60 +194,6 @@ impl fmt::Display for Method {
             Self::FourAngle => out.write_str("four-angle"),
             Self::ThreeAngle => out.write_str("three-angle"),
         }
-    }
-}
-
-/// Standard deviations, 1 σ, of an error model's terms.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Deviations {
-    /// Of the bias, m/s².
-    pub bias_mps2: [f64; 3],
-    /// Of A.
-    pub matrix: Matrix3,
-}
-
-/// Standard deviations, 1 σ, of the [`Terms`]; 0 for those that were not fitted.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TermDeviations {
-    /// Of the drift from the first pose to the last, m/s².
-    pub drift_mps2: [f64; 3],
-    /// Of b₁, m/s² per K.
-    pub bias_mps2_per_k: [f64; 3],
-    /// Of s₁, 1/K.
-    pub scale_per_k: [f64; 3],
-    /// Of q, s²/m.
-    pub nonlinearity: [f64; 3],
-}
-
-impl TermDeviations {
-    /// Standard deviation of one parameter; 0 if it does not belong to a term.
-    pub(crate) fn get(mut self, slot: Slot) -> f64 {
-        self.get_mut(slot).map_or(0.0, |sd| *sd)
-    }
-
-    /// Sets the standard deviation of one parameter, if it belongs to a term.
-    pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
-        if let Some(place) = self.get_mut(slot) {
-            *place = sd;
-        }
-    }
-
-    /// Adds variances of the fitted parameters `free`, as far as they belong to terms.
-    pub(crate) fn add_fitted(&mut self, free: &[Slot], variance: impl Fn(usize) -> f64) {
-        for (i, &slot) in free.iter().enumerate() {
-            let sd = self.get(slot);
-            self.set(slot, libm::sqrt((sd * sd + variance(i)).max(0.0)));
-        }
-    }
-
-    fn get_mut(&mut self, slot: Slot) -> Option<&mut f64> {
-        let group = match slot.term()? {
-            terms::Term::Drift => &mut self.drift_mps2,
-            terms::Term::BiasTemperature => &mut self.bias_mps2_per_k,
-            terms::Term::ScaleTemperature => &mut self.scale_per_k,
-            terms::Term::Quadratic => &mut self.nonlinearity,
-        };
-        group.get_mut(slot.index() % 3)
     }
 }
 

@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 
 use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
 
-use crate::estimate::{Drift, Residuals, TermDeviations};
+use crate::estimate::{Drift, Residuals};
 use crate::force::Conditions;
 use crate::magnitude::{Fit, Knowledge, Magnitude, Shared};
 use crate::multi_position::range;
@@ -239,8 +239,12 @@ impl Found<'_> {
         let kept_left_out = of_kept(by_orientation.as_ref().unwrap_or(&left_out));
         let sd = libm::sqrt(shared.variance);
         let sd_of = |i: usize| sd * libm::sqrt(shared.spread[(i, i)]);
-        let mut term_sd = TermDeviations::default();
-        term_sd.add_fitted(free, |i| sd_of(i) * sd_of(i));
+        let mut term_sd = [[0.0; 3]; Term::ALL.len()];
+        for (i, slot) in free.iter().enumerate() {
+            if let Some(term) = slot.term() {
+                term_sd[term as usize][slot.index() % 3] = sd_of(i);
+            }
+        }
         let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
         let predicted = kept_left_out.rms_mps2();
         // With priors, the intervals hold what a single pose determines.

@@ -46,7 +46,7 @@ pub use array::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, calibrate_array}
 pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use design::Guide;
-pub use estimate::{Deviations, Drift, Estimate, Method, TermDeviations};
+pub use estimate::{Drift, Estimate, Method};
 pub use finder::{PoseFinder, find_poses};
 pub use gravity::Gravity;
 pub use gyroscope::{
@@ -64,7 +64,7 @@ pub use reference::{AxisTransfer, Line, NoiseFrom, ReferenceTransfer, Transfer};
 pub use refusal::{Reason, Refusal, UnitHint};
 pub use self_check::{Ageing, Check, SelfCheck};
 pub use session::{Phase, Session};
-pub use six_position::{six_position, six_position_labelled};
+pub use six_position::six_position;
 pub use terms::{Term, Terms};
 pub use turn::{four_angle, three_angle};
 pub(crate) use weights::{POSE_SCATTER_DOF, POSE_SCATTER_MPS2};

@@ -20,6 +20,7 @@ impl Estimate {
             lowest_c: lowest.min(mean) as f32,
             highest_c: highest.max(mean) as f32,
         });
+        let [_, bias, scale, quadratic] = self.term_sd;
         CalibrationQuality::new(QualityTerms {
             method: match self.method {
                 Method::SixPosition { .. } => CalibrationMethod::SixPosition,
@@ -36,10 +37,10 @@ impl Estimate {
             condition: Some(self.condition.max(1.0) as f32),
             covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,
             other_sd: TermDeviations {
-                bias_mps2_per_k: self.term_sd.bias_mps2_per_k.map(|sd| sd as f32),
+                bias_mps2_per_k: bias.map(|sd| sd as f32),
                 bias_mps2_per_k2: [0.0; 3],
-                scale_per_k: self.term_sd.scale_per_k.map(|sd| sd as f32),
-                nonlinearity: self.term_sd.nonlinearity.map(|sd| sd as f32),
+                scale_per_k: scale.map(|sd| sd as f32),
+                nonlinearity: quadratic.map(|sd| sd as f32),
             },
         })
         .ok()

@@ -95,13 +95,13 @@ fn coverage(draws: usize, count: usize, between: [f64; 3], range_k: f64) -> [Cov
         for (k, error) in normalised(&mut sensor, &found).into_iter().enumerate() {
             held[k / 3].count(error.abs() < 1.96);
         }
-        let (terms, sd) = (found.model.terms(), found.slope_sd);
+        let (terms, sd) = (found.model.terms(), found.term_sd);
         for axis in 0..3 {
             let scale = terms.matrix[axis][axis];
             let bias = terms.temperature.bias_mps2_per_k[axis] - sensor.slopes[0][axis];
             let scale = terms.temperature.scale_per_k[axis] - sensor.slopes[1][axis] / scale;
-            held[3].count(bias.abs() <= 1.96 * sd.bias_mps2_per_k[axis]);
-            held[3].count(scale.abs() <= 1.96 * sd.scale_per_k[axis]);
+            held[3].count(bias.abs() <= 1.96 * sd[1][axis]);
+            held[3].count(scale.abs() <= 1.96 * sd[2][axis]);
         }
     }
     held
@@ -225,7 +225,7 @@ fn sessions_that_do_not_go_together_are_refused() {
         .flat_map(|up| [up, up.map(|c: f64| -c)])
         .map(|up| pose(&sensor.at_25, G, up))
         .collect();
-    let six = six_position(&sides, exact(), Placement::BY_HAND).expect("an answer");
+    let six = six_position(&sides, None, exact(), Placement::BY_HAND).expect("an answer");
     assert!(matches!(with(six.clone()), Err(Refusal { reason: Reason::Input { index: 1 }, .. })));
     let both = combine(&[six.clone(), six], exact()).expect("twelve parameters");
     assert_eq!((both.dof, both.between_sd), ([3.0, 3.0, 6.0], [0.0; 3]));

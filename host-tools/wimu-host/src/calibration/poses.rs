@@ -3,8 +3,8 @@
 use std::collections::HashSet;
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Placement, Pose, Refusal, four_angle, multi_position, six_position,
-    six_position_labelled, three_angle,
+    Estimate, Gravity, Placement, Pose, Refusal, four_angle, multi_position, six_position,
+    three_angle,
 };
 use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
 
@@ -227,14 +227,9 @@ impl<'a> Fitting<'a> {
     pub fn of(&self, poses: &[Pose]) -> Result<Estimate, Refusal> {
         let (gravity, options) = (self.gravity, self.options);
         match options.method {
-            MethodChoice::SixPosition => match &options.sides {
-                Some(sides) => {
-                    let labelled: Vec<(Face, Pose)> =
-                        sides.iter().copied().zip(poses.iter().copied()).collect();
-                    six_position_labelled(&labelled, gravity, self.placement)
-                }
-                None => six_position(poses, gravity, self.placement),
-            },
+            MethodChoice::SixPosition => {
+                six_position(poses, options.sides.as_deref(), gravity, self.placement)
+            }
             MethodChoice::FourAngle => four_angle(poses, gravity, self.placement),
             MethodChoice::ThreeAngle => three_angle(poses, gravity, self.placement),
             MethodChoice::MultiPosition => multi_position(poses, gravity, options.multi_position()),

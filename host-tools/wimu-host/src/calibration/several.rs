@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-use wimu_calib::{Combined, Estimate, Gravity, Parameter, Parameters, combine};
+use wimu_calib::{Combined, Estimate, Gravity, Parameters, combine};
 use wimu_model::{
     CalibrationQuality, CentiCelsius, ErrorModel, ErrorTerms, ModelCovariance, QualityTerms,
     SpecificForceMps2, TermDeviations,
@@ -11,7 +11,7 @@ use wimu_model::{
 use super::describe::{gravity_text, parameter_lines, temperature_line};
 use super::file::Quality;
 use super::poses::rms;
-use super::report::{AXES, deviations};
+use super::report::AXES;
 use super::{
     CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Session, calibrate, checks,
     magnitude,
@@ -167,9 +167,7 @@ impl Sessions {
 
     /// Standard deviations of the parameters of a new session, in the model's shape.
     fn sd(&self) -> ErrorTerms {
-        let slopes = self.combined.slope_sd;
-        let sd = |place: usize| self.combined.covariance.sd(Parameter::ALL[place]);
-        deviations(sd, [slopes.bias_mps2_per_k, slopes.scale_per_k])
+        self.combined.covariance.deviations(&self.combined.term_sd)
     }
 
     /// Adds the sessions and their combination to the report's JSON.
@@ -250,6 +248,7 @@ impl Sessions {
         let condition = self.estimates.iter().map(|e| e.condition).fold(1.0, f64::max);
         let found = &self.combined;
         let first = self.estimates[0].quality(utc_s, &self.singles[0].poses)?;
+        let [_, bias, scale, _] = found.term_sd;
         CalibrationQuality::new(QualityTerms {
             temperature: found.temperature,
             poses: total(|estimate| estimate.poses),
@@ -259,8 +258,8 @@ impl Sessions {
             condition: Some(condition as f32),
             covariance: ModelCovariance::from_matrix(found.covariance.matrix()).ok()?,
             other_sd: TermDeviations {
-                bias_mps2_per_k: found.slope_sd.bias_mps2_per_k.map(|sd| sd as f32),
-                scale_per_k: found.slope_sd.scale_per_k.map(|sd| sd as f32),
+                bias_mps2_per_k: bias.map(|sd| sd as f32),
+                scale_per_k: scale.map(|sd| sd as f32),
                 ..TermDeviations::default()
             },
             ..*first.terms()

@@ -7,9 +7,7 @@ use wimu_model::{CalibratedTemperature, GyroscopeParameters};
 use super::describe::{gravity_text, parameter_lines, temperature_line};
 use super::file::Quality;
 use super::poses::{Fitting, Scale, rms};
-use super::report::{
-    Grade, add_estimate, deviations_of, orientation_json, orientation_text, sphere,
-};
+use super::report::{Grade, add_estimate, orientation_json, orientation_text, sphere};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
     MethodChoice, SensorCalibration, Session, Source, checks, gyroscope, magnitude,
@@ -82,7 +80,7 @@ impl Solution<'_> {
                 numbers["datasheet"] = json!(limits);
                 numbers["gyroscope"] = json!(gyroscope.as_ref().map(gyroscope::json));
                 lines.extend([self.answer(estimate, &found, &outcome), self.given()]);
-                let terms = (estimate.model.terms(), &deviations_of(estimate));
+                let terms = (estimate.model.terms(), &estimate.sd());
                 lines.extend(parameter_lines(terms, estimate.fitted, estimate.not_observed()));
                 lines.extend(gyroscope.iter().flat_map(gyroscope::lines));
                 lines.extend(self.quality(estimate));
@@ -205,7 +203,7 @@ impl Solution<'_> {
             lowest_c: low as f32,
             highest_c: high as f32,
         });
-        lines.extend(temperature_line((terms, &deviations_of(estimate)), valid));
+        lines.extend(temperature_line((terms, &estimate.sd()), valid));
         lines
     }
 

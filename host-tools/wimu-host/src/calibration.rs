@@ -24,7 +24,7 @@ pub use correction::Correction;
 use datasheet::DatasheetReport;
 pub use datasheet::{Datasheet, datasheet};
 pub use describe::{Difference, describe, parameter_figures, values_text};
-pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
+pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub(crate) use file::worst_sd;
 pub use file::{
     AccelerometerCalibration, Calibration, Quality, SensorCalibration, Session, force_sd_mps2,

@@ -4,7 +4,6 @@
 mod regression;
 
 use alloc::format;
-use core::mem::discriminant;
 
 use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 
@@ -112,9 +111,7 @@ fn check(estimates: &[Estimate]) -> Result<(), Refusal> {
     for (session, estimate) in estimates.iter().enumerate() {
         let allowed = [Terms::NONE, Terms::NONE.with(Term::Drift)];
         let sound = |p: Parameter| estimate.covariance.sd(p).is_finite();
-        let why = if estimate.fitted != first.fitted
-            || discriminant(&estimate.method) != discriminant(&first.method)
-        {
+        let why = if estimate.fitted != first.fitted || estimate.method != first.method {
             "has another method or model than session 0: fit all with one"
         } else if !allowed.contains(&estimate.terms) {
             "has temperature or quadratic terms: fit the sessions without them"

@@ -1,9 +1,8 @@
 //! Result of a calibration.
 
 use alloc::vec::Vec;
-use core::fmt;
 
-use wimu_model::{CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
+use wimu_model::{CalibrationMethod, CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
 use crate::terms::{self, Term, Terms, Theta};
 use crate::{Covariance, Gravity, Parameter, Parameters, Pose, force, student};
@@ -15,7 +14,9 @@ pub struct Estimate {
     /// The error model.
     pub model: ErrorModel,
     /// How it was estimated.
-    pub method: Method,
+    pub method: CalibrationMethod,
+    /// The placement, with six known orientations.
+    pub sides: Option<Sides>,
     /// The terms fitted in addition to the 12 parameters.
     pub terms: Terms,
     /// Which of the 12 parameters were fitted.
@@ -80,7 +81,7 @@ impl Estimate {
     /// and counts are still to be set.
     pub(crate) fn orthogonal(
         model: ErrorModel,
-        method: Method,
+        method: CalibrationMethod,
         gravity: Gravity,
         residuals: &Residuals,
     ) -> Self {
@@ -102,12 +103,10 @@ impl Estimate {
     /// covariance the tolerances of typical datasheets. Not included are the three that are 0 by
     /// convention because gravity alone does not determine a rotation.
     pub fn not_observed(&self) -> Parameters {
-        match self.method {
-            Method::MultiPosition => Parameters::default(),
-            Method::SixPosition { .. } | Method::FourAngle | Method::ThreeAngle => {
-                Parameters::ALL.without(self.fitted)
-            }
+        if self.method == CalibrationMethod::MultiPosition {
+            return Parameters::default();
         }
+        Parameters::ALL.without(self.fitted)
     }
 
     /// Standard deviations of the parameters and terms in the form of the model: for unobserved ones the tolerance of
@@ -159,42 +158,19 @@ pub struct Drift {
     pub span_s: f64,
 }
 
-/// Method of an estimate.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub enum Method {
-    /// Six known orientations, 12 parameters.
-    SixPosition {
-        /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if the poses contradict it, the
-        /// one that they show.
-        placement_sd_rad: f64,
-        /// The declared placement error, rad.
-        declared_sd_rad: f64,
-        /// Standard deviation between visits of a side, m/s², also in the covariance: with few visits mostly that of
-        /// typical sensors.
-        revisit_sd_mps2: f64,
-        /// Poses beyond the first of each side.
-        revisits: usize,
-    },
-    /// Any orientations, from the magnitude of gravity.
-    #[default]
-    MultiPosition,
-    /// Rotations in four steps about a horizontal axis: bias and scale factor of the axes in the
-    /// plane.
-    FourAngle,
-    /// Rotations in three steps about a horizontal axis.
-    ThreeAngle,
-}
-
-impl fmt::Display for Method {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::SixPosition { .. } => out.write_str("six-position"),
-            Self::MultiPosition => out.write_str("multi-position"),
-            Self::FourAngle => out.write_str("four-angle"),
-            Self::ThreeAngle => out.write_str("three-angle"),
-        }
-    }
+/// How the sensor was placed in six known orientations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sides {
+    /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if the poses contradict it, the one
+    /// that they show.
+    pub placement_sd_rad: f64,
+    /// The declared placement error, rad.
+    pub declared_sd_rad: f64,
+    /// Standard deviation between visits of a side, m/s², also in the covariance: with few visits mostly that of typical
+    /// sensors.
+    pub revisit_sd_mps2: f64,
+    /// Poses beyond the first of each side.
+    pub revisits: usize,
 }
 
 /// Statistics of the residuals |f| − g.

@@ -3,7 +3,7 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
+use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals};
 use crate::force::Conditions;
@@ -13,8 +13,8 @@ use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
 use crate::visits::Visits;
 use crate::weights::Weighting;
 use crate::{
-    Covariance, Estimate, Gravity, Method, MultiPosition, Parameter, Parameters, Pose, Reason,
-    Refusal, ellipsoid, input, outliers, pose,
+    Covariance, Estimate, Gravity, MultiPosition, Parameter, Parameters, Pose, Reason, Refusal,
+    ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -72,10 +72,7 @@ pub(crate) fn fit<'a>(
         |slot: &Slot| what.priors && !slot.term().is_some_and(|term| what.terms.contains(term));
     let mut problem = Magnitude::new(poses, visits, gravity.mps2(), conditions, free);
     problem.set_priors(has_prior);
-    let defect = || {
-        let dead = || input::dead_axis(poses, gravity).map(Refusal::stuck);
-        input::mixed_units(poses).or_else(dead)
-    };
+    let defect = || input::dead_axis(poses, gravity).map(Refusal::stuck);
     let ellipsoid = ellipsoid::start(poses, gravity).filter(|_| !what.priors);
     let squares = ellipsoid.and_then(|start| problem.solve(&start));
     let squares = squares.or_else(|| problem.solve(&PERFECT));
@@ -141,9 +138,8 @@ fn contradictions(problem: &mut Magnitude, fit: Fit) -> Result<Option<Fit>, Refu
         }
         if !bad.spared {
             let poses = problem.poses;
-            let stuck = || input::stuck_axis(poses).map(Refusal::stuck);
             let clipped = || input::clipped_axis(poses).map(Refusal::saturated);
-            let refusal = input::mixed_units(poses).or_else(stuck).or_else(clipped);
+            let refusal = input::stuck_axis(poses).map(Refusal::stuck).or_else(clipped);
             return Err(refusal.unwrap_or_else(|| bad.refusal()));
         }
         problem.rejected.push(bad.pose);
@@ -196,7 +192,7 @@ impl Found<'_> {
         }
         let most_rms = MOST_RMS_MPS2[usize::from(self.terms != Terms::NONE)];
         if kept.rms_mps2() > most_rms {
-            return Err(input::mixed_units(poses).unwrap_or_else(|| poor_fit(&kept)));
+            return Err(poor_fit(&kept));
         }
         let mut covariance = Covariance::ZERO;
         covariance.add_fitted(free, |r, c| shared.variance * shared.spread[(r, c)]);
@@ -264,7 +260,8 @@ impl Found<'_> {
         let assumed = (0..free.len()).filter(is_assumed).filter_map(|i| free[i].parameter());
         Ok(Estimate {
             model,
-            method: Method::MultiPosition,
+            method: CalibrationMethod::MultiPosition,
+            sides: None,
             terms: self.terms,
             fitted: Parameters::OF_GRAVITY,
             assumed: assumed.collect(),

@@ -125,21 +125,6 @@ pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
     })
 }
 
-/// Refuses poses of which some are in g and the others in m/s².
-pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
-    let longest = magnitudes(poses).fold(0.0, f64::max);
-    // 9.8 m/s² per g, ± 25 %.
-    let shorter = |size: &f64| (7.3..13.0).contains(&(longest / size));
-    let pose = magnitudes(poses).position(|size| shorter(&size))?;
-    let rest = magnitudes(poses).filter(|size| !shorter(size));
-    // All other poses have a similar magnitude.
-    let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
-    let magnitude = magnitudes(poses).nth(pose)?;
-    let text =
-        format!("Pose {pose} (from 0) looks like g, the others like m/s². Give all in one unit.");
-    alike.then(|| Refusal::new(Reason::Unit { magnitude, hint: UnitHint::G }, text))
-}
-
 fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {
     poses.iter().map(|pose| libm::sqrt(pose.mean_mps2.iter().map(|y| y * y).sum()))
 }

@@ -46,7 +46,7 @@ pub use array::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, calibrate_array}
 pub use combined::{Combined, Group, combine};
 pub use covariance::Covariance;
 pub use design::Guide;
-pub use estimate::{Drift, Estimate, Method};
+pub use estimate::{Drift, Estimate, Sides};
 pub use finder::{PoseFinder, find_poses};
 pub use gravity::Gravity;
 pub use gyroscope::{

@@ -1,11 +1,10 @@
 //! Quality record of an estimate, as stored on a device.
 
 use wimu_model::{
-    CalibratedTemperature, CalibrationMethod, CalibrationQuality, ModelCovariance, QualityTerms,
-    TermDeviations,
+    CalibratedTemperature, CalibrationQuality, ModelCovariance, QualityTerms, TermDeviations,
 };
 
-use crate::{Estimate, Method, Pose, input};
+use crate::{Estimate, Pose, input};
 
 impl Estimate {
     /// Quality record for a parameter set: estimated at `utc_s`, s since 1970 UTC, from `poses`,
@@ -22,12 +21,7 @@ impl Estimate {
         });
         let [_, bias, scale, quadratic] = self.term_sd;
         CalibrationQuality::new(QualityTerms {
-            method: match self.method {
-                Method::SixPosition { .. } => CalibrationMethod::SixPosition,
-                Method::MultiPosition => CalibrationMethod::MultiPosition,
-                Method::FourAngle => CalibrationMethod::FourAngle,
-                Method::ThreeAngle => CalibrationMethod::ThreeAngle,
-            },
+            method: self.method,
             utc_s,
             temperature,
             poses: u32::try_from(self.poses).unwrap_or(u32::MAX),

@@ -3,15 +3,15 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms};
 
 use crate::estimate::Residuals;
 use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
 use crate::terms;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Reason, Refusal,
-    force, input, student,
+    Covariance, Estimate, Face, Gravity, Parameter, Placement, Pose, Reason, Refusal, Sides, force,
+    input, student,
 };
 
 /// Degrees of freedom of the placement error that six sides show.
@@ -148,7 +148,7 @@ fn estimate(poses: &[Pose], gravity: Gravity, placement: Placement) -> Result<Es
 
     let residuals = Residuals::of(&theta, poses.iter(), g);
     let rejected = (0..poses.len()).filter(|k| Face::of(&poses[*k]).is_none()).collect();
-    let method = Method::SixPosition {
+    let sides = Sides {
         placement_sd_rad,
         declared_sd_rad: placement.sd_rad(),
         revisit_sd_mps2: libm::sqrt(revisit),
@@ -163,7 +163,8 @@ fn estimate(poses: &[Pose], gravity: Gravity, placement: Placement) -> Result<Es
         rejected,
         worst_sd_mps2,
         temperature_c: mean_temperature(placed.iter().map(|(_, pose)| *pose)),
-        ..Estimate::orthogonal(model, method, gravity, &residuals)
+        sides: Some(sides),
+        ..Estimate::orthogonal(model, CalibrationMethod::SixPosition, gravity, &residuals)
     })
 }
 

@@ -4,9 +4,7 @@ use crate::common;
 
 use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;
-use wimu_calib::{
-    Estimate, Face, Method, Orientation, Placement, Pose, Reason, Refusal, six_position,
-};
+use wimu_calib::{Estimate, Face, Orientation, Placement, Pose, Reason, Refusal, six_position};
 use wimu_model::ErrorModel;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -81,10 +79,8 @@ fn a_worse_placement_than_declared_is_seen() {
         })
         .collect();
     let estimate = six_position(&poses, None, exact(), squared()).expect("an answer");
-    let Method::SixPosition { placement_sd_rad, .. } = estimate.method else {
-        panic!("six-position");
-    };
-    assert!((1.5..5.0).contains(&(placement_sd_rad / DEGREE)));
+    let placed = estimate.sides.expect("sides");
+    assert!((1.5..5.0).contains(&(placed.placement_sd_rad / DEGREE)));
     assert!(estimate.sd().matrix[0][1] > 0.015);
 }
 

@@ -5,9 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use wimu_calib::{
-    Estimate, GyroscopeEstimate, Method, Orientation, Parameter, Parameters, Pose, Term,
-};
+use wimu_calib::{Estimate, GyroscopeEstimate, Orientation, Parameter, Parameters, Pose, Term};
 use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2};
 
 use super::{Calibration, magnitude, median, parameter_id};
@@ -244,12 +242,6 @@ pub(super) fn names(parameters: Parameters) -> Vec<String> {
 /// `loo_rms` of each under the model fitted without it, or without all visits of its orientation.
 pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Grade) {
     let mm = |mps2: Option<f64>| mps2.map(|mps2| mps2 * 1e3);
-    let (placement, revisit) = match estimate.method {
-        Method::SixPosition { placement_sd_rad, revisit_sd_mps2, .. } => {
-            (Some(placement_sd_rad), Some(revisit_sd_mps2))
-        }
-        _ => (None, None),
-    };
     let unseen = estimate.not_observed();
     let half_width = |p: Parameter| (!unseen.contains(p)).then(|| estimate.half_width_95(p));
     let more = json!({
@@ -272,8 +264,8 @@ pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Gra
             "sd_m_s2": estimate.term_sd[Term::Drift as usize],
             "span_s": drift.span_s,
         })),
-        "placement_sd_deg": placement.map(f64::to_degrees),
-        "revisit_sd_mm_s2": mm(revisit),
+        "placement_sd_deg": estimate.sides.map(|sides| sides.placement_sd_rad.to_degrees()),
+        "revisit_sd_mm_s2": mm(estimate.sides.map(|sides| sides.revisit_sd_mps2)),
         "model": estimate.model.terms(),
         "sd": estimate.sd(),
         "half_width_95": Parameter::ALL.map(half_width),

@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{Combined, Estimate, Gravity, Parameters, combine};
 use wimu_model::{
-    CalibrationQuality, CentiCelsius, ErrorModel, ErrorTerms, ModelCovariance, QualityTerms,
-    SpecificForceMps2, TermDeviations,
+    CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel, ErrorTerms, ModelCovariance,
+    QualityTerms, SpecificForceMps2, TermDeviations,
 };
 
 use super::describe::{gravity_text, parameter_lines, temperature_line};
@@ -13,8 +13,7 @@ use super::file::Quality;
 use super::poses::rms;
 use super::report::AXES;
 use super::{
-    CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Session, calibrate, checks,
-    magnitude,
+    CalibrateOptions, Calibration, CalibrationReport, Session, calibrate, checks, magnitude,
 };
 use crate::chart::{Chart, Series};
 use crate::digits::significant;
@@ -35,7 +34,7 @@ pub fn calibrate_several(
     check(data, options)?;
     let (gravity, gravity_source) = options.gravity()?;
     let mut json = json!({
-        "method": options.method.name(),
+        "method": options.method,
         "gravity_m_s2": gravity.mps2(),
         "gravity_sd_m_s2": gravity.sd_mps2(),
         "gravity_source": gravity_source,
@@ -59,7 +58,7 @@ pub fn calibrate_several(
             outcome.findings.extend(of_gravity);
             sessions.fill(&mut json);
             lines = sessions.lines();
-            let (method, g) = (options.method.name(), gravity_text(gravity));
+            let (method, g) = (options.method, gravity_text(gravity));
             lines.push(format!("{method}, {g}; ± is 1 σ of a new session"));
             file = sessions.file(options.utc_s);
             chart = Some(sessions.chart());
@@ -73,8 +72,9 @@ pub fn calibrate_several(
 
 fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
     let usage = |message: String, remedy: &str| Err(Code::Usage.error(message, remedy));
-    if !matches!(options.method, MethodChoice::MultiPosition | MethodChoice::SixPosition) {
-        let message = format!("--method {} takes one session", options.method.name());
+    if !matches!(options.method, CalibrationMethod::MultiPosition | CalibrationMethod::SixPosition)
+    {
+        let message = format!("--method {} takes one session", options.method);
         return usage(message, "use multi-position or six-position, or give one file");
     }
     let counts = |samples: &Samples<'_>| matches!(samples.unit, OutputUnit::Counts { .. });

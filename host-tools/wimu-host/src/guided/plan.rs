@@ -4,9 +4,9 @@ use serde::Serialize;
 use wimu_calib::{Face, Orientation, Parameter, Session};
 use wimu_link::Hello;
 use wimu_link::hello::Capabilities;
-use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_model::{CalibrationMethod, STANDARD_GRAVITY_MPS2};
 
-use crate::calibration::{CalibrateOptions, Fitting, MethodChoice};
+use crate::calibration::{CalibrateOptions, Fitting, steps};
 use crate::{Code, Result};
 
 /// Default number of poses of a live calibration.
@@ -38,8 +38,8 @@ impl Plan {
         options.gravity()?;
         let usage = |text: String, remedy: String| Err(Code::Usage.error(text, remedy));
         let fewest = options.multi_position().fewest_poses();
-        let count = match (options.method.steps(), count) {
-            _ if options.method == MethodChoice::SixPosition => Face::ALL.len(),
+        let count = match (steps(options.method), count) {
+            _ if options.method == CalibrationMethod::SixPosition => Face::ALL.len(),
             (Some(steps), None) => ROTATIONS * steps,
             (Some(steps), Some(count)) if !count.is_multiple_of(steps) || count == 0 => {
                 let text =
@@ -73,7 +73,7 @@ impl Plan {
 
     /// Whether each of the six sides is to be up.
     pub fn is_of_sides(&self) -> bool {
-        self.options.method == MethodChoice::SixPosition
+        self.options.method == CalibrationMethod::SixPosition
     }
 
     /// What a person is asked for at the start.
@@ -87,7 +87,7 @@ impl Plan {
         if self.is_of_sides() {
             return "hold the board still with each of its six sides up, in any order".to_owned();
         }
-        match self.options.method.steps() {
+        match steps(self.options.method) {
             None => "hold the board as suggested, or in any other orientation".to_owned(),
             Some(steps) => format!(
                 "rotate the board about one of its axes, which lies level, always in one direction: hold it still at each of \
@@ -99,7 +99,7 @@ impl Plan {
 
     /// What comes after this many poses.
     pub fn next_instruction(&self, poses: usize, next: Option<Orientation>) -> String {
-        let Some(steps) = self.options.method.steps() else {
+        let Some(steps) = steps(self.options.method) else {
             let next = next.map(|next| next.instruction_with(self.sides).to_string());
             return next.unwrap_or_default();
         };

@@ -7,11 +7,11 @@ use wimu_calib::{Face, Orientation, Pose};
 use wimu_link::Hello;
 use wimu_link::batch::Stream;
 use wimu_link::message::Event as Happened;
-use wimu_model::{ParameterId, ParameterSet};
+use wimu_model::{CalibrationMethod, ParameterId, ParameterSet};
 
 use super::capture::{Capture, Hold};
 use super::plan::{Plan, Uncertainty};
-use crate::calibration::{self, CalibrationReport, MethodChoice};
+use crate::calibration::{self, CalibrationReport};
 use crate::capture::Link;
 use crate::client::Client;
 use crate::decode::{Arrival, Event};
@@ -201,9 +201,11 @@ impl Guided {
         let sides_left = self.sides_left();
         let Some(capture) = &mut self.capture else { return };
         capture.next = match self.plan.options.method {
-            MethodChoice::SixPosition => sides_left.first().map(|side| Orientation::from(*side)),
-            MethodChoice::MultiPosition => capture.session.next(),
-            MethodChoice::FourAngle | MethodChoice::ThreeAngle => None,
+            CalibrationMethod::SixPosition => {
+                sides_left.first().map(|side| Orientation::from(*side))
+            }
+            CalibrationMethod::MultiPosition => capture.session.next(),
+            _ => None,
         };
     }
 

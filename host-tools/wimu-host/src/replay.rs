@@ -269,38 +269,33 @@ impl Iterator for Replay<'_> {
         {
             return self.take_epoch();
         }
-        let raw = self.boot.raw().get(self.raw).copied();
-        match raw {
-            Some(raw)
-                if raw.sequence == sequence
-                    && running.since_epoch < running.most
-                    && running.correction.takes(&raw) =>
-            {
-                let (force, rate) = running.correction.integrate(&raw, &mut running.integrator);
-                running.next_sequence = sequence.wrapping_add(1);
-                running.since_epoch += 1;
-                self.raw += 1;
-                Some(Step::Sample(Replayed {
-                    raw,
-                    force,
-                    rate,
-                    navigation: running.integrator.navigation(),
-                }))
-            }
-            None if self.epoch >= self.boot.epochs().len() => None,
-            _ => {
-                self.running = None;
-                // Epochs before this sample are skipped.
-                let epochs = self.boot.epochs();
-                while epochs
-                    .get(self.epoch)
-                    .is_some_and(|mark| sequence_order(mark.epoch.sequence, sequence).is_lt())
-                {
-                    self.epoch += 1;
-                }
-                Some(Step::Break { sequence })
-            }
+        // The samples after the last one were not recorded: an epoch ahead of them replays nothing.
+        let raw = self.boot.raw().get(self.raw).copied()?;
+        if raw.sequence == sequence
+            && running.since_epoch < running.most
+            && running.correction.takes(&raw)
+        {
+            let (force, rate) = running.correction.integrate(&raw, &mut running.integrator);
+            running.next_sequence = sequence.wrapping_add(1);
+            running.since_epoch += 1;
+            self.raw += 1;
+            return Some(Step::Sample(Replayed {
+                raw,
+                force,
+                rate,
+                navigation: running.integrator.navigation(),
+            }));
         }
+        self.running = None;
+        // Epochs before this sample are skipped.
+        let epochs = self.boot.epochs();
+        while epochs
+            .get(self.epoch)
+            .is_some_and(|mark| sequence_order(mark.epoch.sequence, sequence).is_lt())
+        {
+            self.epoch += 1;
+        }
+        Some(Step::Break { sequence })
     }
 }
 

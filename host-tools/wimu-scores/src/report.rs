@@ -70,15 +70,17 @@ impl Row {
 
     /// Records the row as a figure of a campaign.
     pub fn record(&self) {
-        let [consistent, valid] = self.shares();
-        let worst = self.score.worst_sigma;
+        let [_, valid] = self.shares();
         let claim = format!("{}, {}: {}", self.system, self.recording, name(self.metric));
-        let figures = list(&self.score.figures);
-        let measured =
-            format!("{figures}; NEES {consistent}; valid {valid}; worst {worst:.1} σ{}", self.note);
+        let measured = format!("{}; valid {valid}", list(&self.score.figures));
+        let beside = self.beside();
+        let target = match &*self.bar {
+            [] => beside,
+            bar => format!("{} ({beside})", list(bar)),
+        };
         // A figure that is not known misses its bar.
         let met = self.score.figures.iter().zip(&self.bar).all(|(figure, bar)| figure <= bar);
-        figure(&claim, measured, &format!("{} ({})", list(&self.bar), self.beside()), met);
+        figure(&claim, measured, &target, met);
     }
 }
 

@@ -56,7 +56,7 @@ pub use magnetometer::{MagneticEstimate, MagneticPose, magnetometer};
 pub use multi_position::{MultiPosition, multi_position};
 pub use nested::{Nested, TestedPose, Unexplained};
 pub use noise::{AllanPoint, AllanVariance, AxisNoise, Measured};
-pub use orientation::{Face, Instruction, Orientation};
+pub use orientation::{Face, Orientation};
 pub use parameter::{Parameter, Parameters};
 pub use placement::Placement;
 pub use pose::Pose;

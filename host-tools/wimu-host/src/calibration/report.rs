@@ -160,7 +160,7 @@ pub(super) fn orientation_json(next: &Orientation) -> Value {
     json!({
         "up": next.up(),
         "text": next.to_string(),
-        "instruction": next.instruction().to_string(),
+        "instruction": next.instruction(),
     })
 }
 

@@ -100,8 +100,7 @@ impl Plan {
     /// What comes after this many poses.
     pub fn next_instruction(&self, poses: usize, next: Option<Orientation>) -> String {
         let Some(steps) = steps(self.options.method) else {
-            let next = next.map(|next| next.instruction_with(self.sides).to_string());
-            return next.unwrap_or_default();
+            return next.map(|next| next.instruction_with(self.sides)).unwrap_or_default();
         };
         match (poses / steps + 1, poses % steps + 1) {
             _ if poses >= self.count => String::new(),

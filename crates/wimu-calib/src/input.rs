@@ -26,7 +26,7 @@ pub(crate) fn check<'a>(
         return Ok(());
     }
     let mean_mps2 = sum / count;
-    match unit(mean_mps2, gravity.mps2()) {
+    match UnitHint::of(mean_mps2, gravity.mps2()) {
         Some(hint) => Err(match stands(poses, mean_mps2) {
             Some(axis) => Refusal::stuck(axis),
             None => Refusal::unexpected_magnitude(mean_mps2, hint),
@@ -76,21 +76,6 @@ const MANY_SAMPLES: u32 = 30;
 /// Whether an axis is constant within a pose.
 fn silent(pose: &Pose, axis: usize) -> bool {
     pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0
-}
-
-/// The probable unit of a mean magnitude that cannot be gravity in m/s².
-pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
-    // Bias and scale factor within the bounds of the error model change |y| by less than this.
-    if (0.4..=2.1).contains(&(mean_mps2 / gravity_mps2)) {
-        return None;
-    }
-    Some(match mean_mps2 {
-        m if (0.7..1.4).contains(&m) => UnitHint::G,
-        m if (85.0..108.0).contains(&m) => UnitHint::Mps2TakenForG,
-        m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
-        m if m > 100.0 && m < 1e6 => UnitHint::Counts,
-        _ => UnitHint::NotGravity,
-    })
 }
 
 /// Smallest range of the readings of an axis that was rotated, m/s²: 0.6°.

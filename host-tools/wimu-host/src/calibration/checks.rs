@@ -56,14 +56,8 @@ fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Ref
         return None;
     }
     let mean_mps2 = median_magnitude(data) * found.scale;
-    let typical = Pose::from_mean([mean_mps2, 0.0, 0.0]);
-    let priors = MultiPosition { priors: true, ..MultiPosition::default() };
-    match multi_position(&[typical; 4], gravity, priors) {
-        Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => {
-            Some(Refusal::unexpected_magnitude(mean_mps2, hint))
-        }
-        _ => None,
-    }
+    let hint = UnitHint::of(mean_mps2, gravity.mps2())?;
+    Some(Refusal::unexpected_magnitude(mean_mps2, hint))
 }
 
 /// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose.

@@ -182,14 +182,10 @@ impl Solution<'_> {
             [] => String::new(),
             _ => format!(" ({rms} over all poses)"),
         };
-        let size = |k: &usize| estimate.residual_mps2(&self.poses[*k]).abs();
-        let worst = (0..self.poses.len()).max_by(|a, b| size(a).total_cmp(&size(b)));
         let mut lines = vec![format!(
             "in sample {fitted} mm/s² rms{all}, largest {largest} at pose {} (from 0); condition {:.1}, {} degrees of \
              freedom; ± is 1 σ of this session",
-            worst.unwrap_or_default(),
-            estimate.condition,
-            estimate.dof
+            estimate.worst_pose, estimate.condition, estimate.dof
         )];
         if let Some(drift) = &estimate.drift {
             let [x, y, z] = drift.change_mps2.map(|axis| signed(axis * 1e3, 3));

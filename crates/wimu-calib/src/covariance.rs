@@ -2,7 +2,7 @@
 
 use wimu_model::{ErrorTerms, TemperatureTerms};
 
-use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
+use crate::terms::{self, Theta, USUAL_BIAS_MPS2};
 use crate::{Gravity, Parameter, Parameters, Term};
 
 /// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
@@ -49,11 +49,11 @@ impl Covariance {
     }
 
     /// Adds the covariances of the fitted parameters `free`, as far as they are among the 12.
-    pub(crate) fn add_fitted(&mut self, free: &[Slot], more: impl Fn(usize, usize) -> f64) {
+    pub(crate) fn add_fitted(&mut self, free: &[usize], more: impl Fn(usize, usize) -> f64) {
         for (r, &a) in free.iter().enumerate() {
             for (c, &b) in free.iter().enumerate() {
-                if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                    self.add(a, b, more(r, c));
+                if a.max(b) < Parameter::COUNT {
+                    self.0[a][b] += more(r, c);
                 }
             }
         }
@@ -66,7 +66,7 @@ impl Covariance {
     /// Sets the variance of unobserved parameters to that of typical datasheets: 50 mg, 3 %, 2 %.
     pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
         for parameter in unseen.iter() {
-            let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
+            let usual = terms::usual_sd(parameter.index()).unwrap_or(USUAL_BIAS_MPS2);
             self.set(parameter, parameter, usual * usual);
         }
     }

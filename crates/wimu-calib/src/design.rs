@@ -32,7 +32,7 @@ type Plan = Vec<Orientation>;
 /// [`next_of`](Self::next_of) plans them together.
 ///
 /// ```
-/// use wimu_calib::{Guide, Orientation};
+/// use wimu_calib::{Guide, Parameter};
 ///
 /// let mut guide = Guide::default();
 /// for remaining in (1..=12).rev() {
@@ -40,7 +40,7 @@ type Plan = Vec<Orientation>;
 ///     println!("{}", next.instruction());
 ///     guide.take(next.up());
 /// }
-/// assert!(guide.amplification() < 1.2);
+/// assert!(guide.sd(Parameter::BiasX) < 0.51);
 /// ```
 #[derive(Clone, Debug)]
 pub struct Guide {
@@ -182,12 +182,6 @@ impl Guide {
             expected = with_it;
         }
         MOST_ADVISED
-    }
-
-    /// Amplification of an error from the poses to the worst of 26 orientations.
-    pub fn amplification(&self) -> f64 {
-        let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
-        libm::sqrt(variances.fold(0.0, f64::max))
     }
 
     /// Expected standard deviation of a parameter for poses of unit variance, (m/s²)²: of a bias in m/s², of the others at

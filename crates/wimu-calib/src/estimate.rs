@@ -4,8 +4,8 @@ use alloc::vec::Vec;
 
 use wimu_model::{CalibrationMethod, CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use crate::terms::{self, Term, Terms, Theta};
-use crate::{Covariance, Gravity, Parameter, Parameters, Pose, force, student};
+use crate::terms::{self, Term, Terms};
+use crate::{Covariance, Gravity, Parameter, Parameters, Pose, student};
 
 /// An error model and its quality.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -90,10 +90,10 @@ impl Estimate {
             method,
             gravity,
             fitted: Parameters::ALL,
-            rms_mps2: residuals.rms_mps2(),
-            fitted_rms_mps2: residuals.rms_mps2(),
-            max_mps2: residuals.largest_mps2,
-            worst_pose: residuals.worst_pose,
+            rms_mps2: residuals.rms(),
+            fitted_rms_mps2: residuals.rms(),
+            max_mps2: residuals.largest,
+            worst_pose: residuals.worst,
             condition: 1.0,
             ..Self::default()
         }
@@ -173,42 +173,36 @@ pub struct Sides {
     pub revisits: usize,
 }
 
-/// Statistics of the residuals |f| − g.
+/// Rms of residuals, and the largest one.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Residuals {
     squares: f64,
-    count: f64,
-    pub largest_mps2: f64,
-    pub worst_pose: usize,
+    pub count: usize,
+    pub largest: f64,
+    /// Index of the largest.
+    pub worst: usize,
 }
 
 impl Residuals {
-    /// Residuals under the first twelve parameters.
-    pub fn of<'a>(theta: &Theta, poses: impl Iterator<Item = &'a Pose>, gravity_mps2: f64) -> Self {
-        let mut residuals = Self::default();
-        for (k, pose) in poses.enumerate() {
-            residuals.add(k, force::residual(theta, pose, gravity_mps2));
-        }
-        residuals
+    /// Of those with their indices.
+    pub fn of(residuals: impl Iterator<Item = (usize, f64)>) -> Self {
+        residuals.fold(Self::default(), |mut all, (index, residual)| {
+            let size = residual.abs();
+            (all.squares, all.count) = (all.squares + size * size, all.count + 1);
+            if size > all.largest {
+                (all.largest, all.worst) = (size, index);
+            }
+            all
+        })
     }
 
-    pub fn of_each(residuals_mps2: &[f64]) -> Self {
-        let mut all = Self::default();
-        residuals_mps2.iter().enumerate().for_each(|(k, residual)| all.add(k, *residual));
-        all
+    pub fn rms(&self) -> f64 {
+        libm::sqrt(self.squares / self.count.max(1) as f64)
     }
 
-    pub fn add(&mut self, pose: usize, residual_mps2: f64) {
-        let size = residual_mps2.abs();
-        self.squares += size * size;
-        self.count += 1.0;
-        if size > self.largest_mps2 {
-            self.largest_mps2 = size;
-            self.worst_pose = pose;
-        }
-    }
-
-    pub fn rms_mps2(&self) -> f64 {
-        libm::sqrt(self.squares / self.count)
+    /// The rms without the largest.
+    pub fn others_rms(&self) -> f64 {
+        let rest = self.squares - self.largest * self.largest;
+        libm::sqrt(rest.max(0.0) / self.count.saturating_sub(1).max(1) as f64)
     }
 }

@@ -43,7 +43,7 @@ mod weights;
 
 pub use alignment::{AlignmentEstimate, KnownDirection, align, straight_move};
 pub use array::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, calibrate_array};
-pub use combined::{Combined, Group, combine};
+pub use combined::{Combined, combine};
 pub use covariance::Covariance;
 pub use design::Guide;
 pub use estimate::{Drift, Estimate, Sides};

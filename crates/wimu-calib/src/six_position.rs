@@ -146,7 +146,7 @@ fn estimate(poses: &[Pose], gravity: Gravity, placement: Placement) -> Result<Es
     let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
-    let residuals = Residuals::of(&theta, poses.iter(), g);
+    let residuals = Residuals::of(force::residuals(&theta, poses, g));
     let rejected = (0..poses.len()).filter(|k| Face::of(&poses[*k]).is_none()).collect();
     let sides = Sides {
         placement_sd_rad,

@@ -213,7 +213,7 @@ fn turns(
         .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     covariance.add_gravity(&theta, gravity);
     covariance.take_for_granted(Parameters::ALL.without(fitted));
-    let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
+    let residuals = Residuals::of(force::residuals(&terms::theta_of(&model), poses, g));
     let method = match steps {
         4 => CalibrationMethod::FourAngle,
         _ => CalibrationMethod::ThreeAngle,

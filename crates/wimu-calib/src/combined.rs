@@ -33,9 +33,7 @@ pub struct Combined {
     pub temperature: Option<CalibratedTemperature>,
 }
 
-/// Groups of parameters that have one standard deviation between sessions: bias, scale factors, misalignments.
-const GROUPS: [usize; 3] = [0, 1, 2];
-
+/// Parameters that have one standard deviation between sessions: 0 the bias, 1 the scale factors, 2 the misalignments.
 fn group_of(parameter: Parameter) -> usize {
     match parameter.index() {
         0..3 => 0,
@@ -52,9 +50,9 @@ fn group_of(parameter: Parameter) -> usize {
 pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Refusal> {
     check(estimates)?;
     let sessions = Sessions::new(estimates);
-    let found = GROUPS.map(|group| sessions.between(group));
+    let found = [0, 1, 2].map(|group| sessions.between(group));
     // The covariance is that of the mean of what τ² can be.
-    let expected = GROUPS.map(|group| sessions.expected(group, found[group]));
+    let expected = [0, 1, 2].map(|group| sessions.expected(group, found[group]));
     let lines = Parameter::ALL.map(|p| sessions.line(p, expected[group_of(p)]));
     let best = Parameter::ALL.map(|p| sessions.line(p, found[group_of(p)].variance));
 

@@ -2,7 +2,7 @@
 
 use alloc::vec::Vec;
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::{Orientation, Parameter, Parameters, Pose};
 
@@ -14,15 +14,6 @@ const WORTH: f64 = 0.03;
 const MOST_EXCHANGES: usize = 4;
 /// Largest number of recommended poses.
 const MOST_ADVISED: usize = 60;
-
-fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = libm::sqrt(dot(v, v));
-    (norm > 0.0 && norm.is_finite()).then(|| v.map(|c| c / norm))
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
 
 /// Poses planned together.
 type Plan = Vec<Orientation>;
@@ -67,8 +58,9 @@ impl Guide {
 
     /// Adds a pose with `up` upward, of any length, sensor axes; ignored without a direction.
     pub fn take(&mut self, up: [f64; 3]) {
-        if let Some(up) = unit(up) {
-            self.change(up, 1.0);
+        let up = Vector3::from(up).normalize();
+        if up.iter().all(|axis| axis.is_finite()) {
+            self.change(up.into(), 1.0);
         }
     }
 

@@ -474,7 +474,7 @@ impl<'a> Magnitude<'a> {
         for orientation in Orientation::ALL {
             let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
             let row = self.fitted(&at.derivatives(&at.at(force)));
-            let variance = least_squares::quadratic(inverse, &row);
+            let variance = row.dot(&(inverse * &row));
             // Opposite orientations are equal to rounding where the bias is determined alone.
             if variance > worst * (1.0 + 1e-12) {
                 (worst, poorest) = (variance, orientation);

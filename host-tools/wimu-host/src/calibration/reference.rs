@@ -10,7 +10,7 @@ use wimu_model::{
 use super::checks::no_sensitivity;
 use super::file::Quality;
 use super::paired::Paired;
-use super::poses::{range, range_note};
+use super::poses::range_note;
 use super::report::{AXES, CalibrationReport};
 use super::{
     AccelerometerCalibration, Calibration, Correction, SensorCalibration, Session, Source,
@@ -84,7 +84,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> CalibrationR
 
 /// Sensitivity and range of a board that takes the calibration.
 fn board(data: &Paired) -> Option<(Sensitivity, (u8, Source))> {
-    data.sensitivity.zip(range(data.unit, data.range_g, data.sensitivity))
+    data.sensitivity.zip(data.range)
 }
 
 fn findings(data: &Paired, found: &Transfer) -> Vec<Problem> {

@@ -170,8 +170,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
         Input::File(path) => {
             let recording = formats::load(&path, &reading(arguments).0)?;
             let chosen = [arguments.reference, arguments.sensor];
-            let range_g = arguments.range;
-            Paired { range_g, ..Paired::of_recording(&recording, chosen, sensitivity)? }
+            Paired::of_recording(&recording, chosen, sensitivity, arguments.range)?
         }
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
         Input::Link(_) => {

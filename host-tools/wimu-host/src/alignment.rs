@@ -112,7 +112,10 @@ pub fn alignment(
             numbers["residual_deg"] = json!(residual);
             head += &format!(", the directions agree to {residual:.2}°");
             lines = describe(&aligned);
-            file = Some(calibration.after(&aligned, data.name).of_device(data.info().device_id));
+            let mut after = calibration.clone().of_device(data.info().device_id);
+            let sensor = after.sensor_mut();
+            (sensor.alignment, sensor.alignment_covariance) = (alignment, alignment_covariance);
+            file = Some(after);
         }
     }
     let title = format!("Alignment of {}", data.name);

@@ -5,10 +5,10 @@ use alloc::vec::Vec;
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::SpecificForceMps2;
 
-use super::model::Angles;
 use super::turn::Turn;
 use super::{AccelerometerCalibration, GyroscopeSession, SixAxisSample, Theta, TurnFault};
 use crate::Pose;
+use crate::estimate::Residuals;
 
 /// Full-scale ranges of gyroscopes, rad/s: 125, 245, 250, 500, 1000, 2000, 4000 °/s; how near to one the
 /// largest output of a clipped axis is, relative; and how many samples in a row are equal to it.
@@ -153,7 +153,7 @@ impl<'a> Session<'a> {
 
     /// Errors of the predicted directions if the rate is `matrix` times the output, without its mean at
     /// the rest before if `centred`.
-    pub fn angles(&self, matrix: Matrix3<f64>, centred: bool) -> Angles {
+    pub fn angles(&self, matrix: Matrix3<f64>, centred: bool) -> Residuals {
         let mut rates = Rates {
             inverse: matrix,
             bias: Vector3::zeros(),
@@ -161,16 +161,14 @@ impl<'a> Session<'a> {
             limits_rad_s: self.limits_rad_s,
             accelerometer: self.given.accelerometer,
         };
-        let mut angles = Angles::default();
-        for (k, (before, after)) in self.rests().zip(self.rests().skip(1)).enumerate() {
+        let pairs = self.rests().zip(self.rests().skip(1)).enumerate();
+        Residuals::of(pairs.filter_map(|(k, (before, after))| {
             if centred {
                 rates.bias = before.rate;
             }
-            if let Ok(turn) = self.turn(k, &rates) {
-                angles.add(k, turn.attitude.tr_mul(&before.up).angle(&after.up));
-            }
-        }
-        angles
+            let turn = self.turn(k, &rates).ok()?;
+            Some((k, turn.attitude.tr_mul(&before.up).angle(&after.up)))
+        }))
     }
 }
 

@@ -132,60 +132,29 @@ impl Calibration {
         Self { schema: Self::SCHEMA.to_owned(), device: None, sensors: vec![sensor], path: None }
     }
 
-    /// Of `set`, whose accelerometer was calibrated with the data of the sessions `before` and, if it has more poses, with
-    /// those of `source`.
-    pub fn new(set: &ParameterSet, before: &[Session], source: &str) -> Self {
-        let quality = set.quality.as_ref().map(CalibrationQuality::terms);
-        let (poses, known) = (quality.map_or(0, |terms| terms.poses), total(before));
-        let mut sessions = before.to_vec();
-        if poses > known {
-            sessions.push(Session {
-                utc_s: quality.and_then(|terms| terms.utc_s),
-                file: Some(source.to_owned()),
-                poses: poses - known,
-            });
-        }
+    /// Of a set that a board or a recording holds.
+    pub fn held(set: &ParameterSet) -> Self {
+        let quality = set.quality.iter().map(CalibrationQuality::terms);
+        let session =
+            |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
+        let accelerometer = AccelerometerCalibration {
+            unit: AccelerationUnit::Lsb,
+            range_g: Some(set.range_g),
+            range_source: None,
+            sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+            zero_count: None,
+            model: set.model,
+            quality: set.quality.as_ref().map(Quality::from),
+            sessions: quality.map(session).collect(),
+        };
         Self::of(SensorCalibration {
             index: set.sensor_index,
             alignment: set.alignment,
             alignment_covariance: set.alignment_covariance,
             gyroscope: set.gyroscope,
             magnetometer: set.magnetometer,
-            ..SensorCalibration::new(
-                set.sensor,
-                AccelerometerCalibration {
-                    unit: AccelerationUnit::Lsb,
-                    range_g: Some(set.range_g),
-                    range_source: None,
-                    sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-                    zero_count: None,
-                    model: set.model,
-                    quality: set.quality.as_ref().map(Quality::from),
-                    sessions,
-                },
-            )
+            ..SensorCalibration::new(set.sensor, accelerometer)
         })
-    }
-
-    /// Of a set that a board or a recording holds.
-    pub fn held(set: &ParameterSet) -> Self {
-        let quality = set.quality.iter().map(CalibrationQuality::terms);
-        let session =
-            |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
-        Self::new(set, &quality.map(session).collect::<Vec<_>>(), "")
-    }
-
-    /// That of `set`, which later data, those of `source`, made of this one.
-    #[must_use]
-    pub fn after(&self, set: &ParameterSet, source: &str) -> Self {
-        let before = &self.sensor().accelerometer;
-        let mut after = Self::new(set, &before.sessions, source);
-        after.device.clone_from(&self.device);
-        for sensor in &mut after.sensors {
-            sensor.accelerometer.zero_count = before.zero_count;
-            sensor.accelerometer.range_source = before.range_source;
-        }
-        after
     }
 
     /// The same of this device, if it does not name one.

@@ -68,8 +68,9 @@ pub fn calibrate_magnetometer(
         Ok(found) => {
             outcome.findings.extend(disturbed(&poses, found));
             outcome.findings.extend(of_dip(found, dip_rad));
-            let after = ParameterSet { magnetometer: Some(found.model), ..set };
-            file = Some(calibration.after(&after, data.name).of_device(data.info().device_id));
+            let mut after = calibration.clone().of_device(data.info().device_id);
+            after.sensor_mut().magnetometer = Some(found.model);
+            file = Some(after);
             answer = lines(found);
             answer.push(match more {
                 0 => "more poses would improve it little".to_owned(),

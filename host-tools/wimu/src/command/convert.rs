@@ -216,8 +216,8 @@ fn calibration(arguments: &Convert, program: ExportTarget, output: &Output) -> R
     }
     let calibration = Calibration::read(&arguments.input)?;
     let export = CalibrationExport::new(&calibration);
-    let noise = arguments.noise.as_deref();
-    let text = export.text(program, noise.map(KalibrNoise::read).transpose()?);
+    let noise = arguments.noise.as_deref().map(KalibrNoise::read).transpose()?;
+    let text = export.text(program, noise.as_ref());
     let mut findings = export.findings(program);
     findings.extend(further_left_out(&calibration));
     let file = arguments.output.as_ref().map(|path| path.display().to_string());

@@ -112,7 +112,10 @@ fn a_bias_of_the_gyroscope_that_hides_every_rest_is_taken_off() {
 
 #[test]
 fn a_sensor_that_freezes_in_its_first_second_is_left_out() {
-    let mut frozen = slide_after(2.0, 0.0);
+    let (mut frozen, mut random) = (slide_after(2.0, 0.0), wimu_testkit::Random::new(1));
+    for sample in &mut frozen.samples.v {
+        sample.force_mps2 += nalgebra::Vector3::from(random.normals(0.02));
+    }
     let last = frozen.samples.v[60];
     frozen.samples.v[61..].fill(last);
     let path = navigate(&frozen, &Choice::default()).unwrap();

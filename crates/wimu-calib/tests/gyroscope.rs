@@ -306,7 +306,7 @@ fn a_rest_that_moves_and_data_without_rests_are_refused() {
     }
     let refused = simulated.estimate(&accelerometer).expect_err("it rotates");
     assert!(matches!(refused, Refusal { reason: Reason::Moved { index: 4 }, .. }), "{refused}");
-    simulated.samples[start].rate_rad_s[0] = f64::NAN;
+    simulated.samples[start + REST / 2].rate_rad_s[0] = f64::NAN;
     let refused = simulated.estimate(&accelerometer);
     assert!(matches!(refused, Err(Refusal { reason: Reason::Input { index: 4 }, .. })));
     simulated.poses.clear();

@@ -65,13 +65,13 @@ pub struct AlignOptions {
 /// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
-/// Those of [`Calibration::parameters`] and [`SensorCalibration::compile`](crate::calibration::SensorCalibration::compile).
+/// Those of [`Calibration::models`] and [`SensorCalibration::compile`](crate::calibration::SensorCalibration::compile).
 pub fn alignment(
     data: &Samples<'_>,
     calibration: &Calibration,
     options: &AlignOptions,
 ) -> Result<CalibrationReport> {
-    let set = &calibration.parameters()?;
+    let set = &calibration.models()?;
     let forces = data.corrected(calibration.sensor())?;
     let rests = data.rests(&forces);
     let mut outcome = Outcome { findings: data.findings(), ..Outcome::default() };

@@ -260,11 +260,20 @@ impl Calibration {
     /// # Errors
     /// `bad_calibration` without a sensitivity, or with one outside the range of boards.
     pub fn parameters(&self) -> Result<ParameterSet> {
-        self.sensor().values().map_err(|text| {
-            let remedy =
-                "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
-            self.located(Code::BadCalibration.error(text, remedy))
-        })
+        self.sensor().values().map_err(|text| self.without_board(text))
+    }
+
+    /// The models of [`sensor`](Self::sensor), for use on the host: of a calibration in m/s² too.
+    ///
+    /// # Errors
+    /// `bad_calibration` of raw counts with a sensitivity outside the range of boards.
+    pub fn models(&self) -> Result<ParameterSet> {
+        self.sensor().models().map_err(|text| self.without_board(text))
+    }
+
+    fn without_board(&self, text: String) -> Problem {
+        let remedy = "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+        self.located(Code::BadCalibration.error(text, remedy))
     }
 
     /// Checks that it is of this device, or names none.
@@ -289,6 +298,10 @@ impl Calibration {
         }
     }
 }
+
+/// Range and sensitivity of models that are applied to an output in m/s²: 16 bits at ± 2 g.
+const ANY_RANGE_G: u8 = 2;
+const ANY_LSB_PER_G: f64 = 16384.0;
 
 /// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
 ///
@@ -343,6 +356,24 @@ impl SensorCalibration {
             });
         };
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).map_err(|e| e.to_string())?;
+        self.with(range_g, sensitivity)
+    }
+
+    /// What corrects an output in m/s²: range and sensitivity of a calibration without them are those of any board.
+    fn models(&self) -> std::result::Result<ParameterSet, String> {
+        if self.accelerometer.unit == AccelerationUnit::Lsb {
+            return self.values();
+        }
+        let sensitivity = Sensitivity::from_lsb_per_g(ANY_LSB_PER_G).map_err(|e| e.to_string())?;
+        self.with(ANY_RANGE_G, sensitivity)
+    }
+
+    fn with(
+        &self,
+        range_g: u8,
+        sensitivity: Sensitivity,
+    ) -> std::result::Result<ParameterSet, String> {
+        let accelerometer = &self.accelerometer;
         Ok(ParameterSet {
             model: accelerometer.model,
             quality: accelerometer.quality()?,

@@ -49,7 +49,7 @@ impl FieldPose {
 /// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
-/// `csv_missing_column`, `data_refused` without a magnetic field; those of [`Calibration::parameters`] and
+/// `csv_missing_column`, `data_refused` without a magnetic field; those of [`Calibration::models`] and
 /// [`SensorCalibration::compile`](super::SensorCalibration::compile).
 pub fn calibrate_magnetometer(
     data: &Samples<'_>,
@@ -57,7 +57,7 @@ pub fn calibrate_magnetometer(
     dip_rad: Option<f64>,
 ) -> Result<CalibrationReport> {
     check(data)?;
-    let set = calibration.parameters()?;
+    let set = calibration.models()?;
     let rests = rests(data, calibration)?;
     let poses = field_poses(data, &rests);
     let estimate = magnetometer(&Vec::from_iter(poses.iter().map(|pose| pose.pose)), dip_rad);

@@ -28,7 +28,7 @@ pub fn update(
 ) -> Result<CalibrationReport> {
     let (gravity, _) =
         CalibrateOptions { gravity_mps2, ..CalibrateOptions::default() }.gravity()?;
-    let stored = &calibration.parameters()?;
+    let stored = &calibration.models()?;
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
         return Err(Code::DataRefused.error(

@@ -2,15 +2,14 @@
 //! on the way, and a calibration of the recording is one of the file.
 
 use serde_json::Value;
-use wimu_host::calibration::{
-    CalibrateOptions, CalibrationReport, MethodChoice, ModelChoice, calibrate,
-};
+use wimu_calib::MultiPosition;
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, calibrate};
 use wimu_host::capture;
 use wimu_host::csv::Filter;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::recording::{Recording, Selection};
 use wimu_link::LinkRole;
-use wimu_model::Counts;
+use wimu_model::{CalibrationMethod, Counts};
 use wimu_sim::board::BoardConfig;
 use wimu_sim::source::Replay;
 use wimu_testkit::figure;
@@ -60,18 +59,21 @@ fn essence(report: &CalibrationReport) -> Value {
 }
 
 fn options() -> [(&'static str, CalibrateOptions); 4] {
-    let multi = |model| CalibrateOptions { model, ..CalibrateOptions::default() };
+    let multi = |priors| CalibrateOptions {
+        model: MultiPosition { priors, ..MultiPosition::default() },
+        ..CalibrateOptions::default()
+    };
     let six_positions =
-        CalibrateOptions { method: MethodChoice::SixPosition, ..CalibrateOptions::default() };
+        CalibrateOptions { method: CalibrationMethod::SixPosition, ..CalibrateOptions::default() };
     let more_known = CalibrateOptions {
         sensitivity_lsb_per_g: Some(2048.0),
         gravity_mps2: Some(9.81),
-        ..multi(ModelChoice::Auto)
+        ..multi(true)
     };
     [
         ("12", six_positions),
-        ("9", multi(ModelChoice::Nine)),
-        ("auto", multi(ModelChoice::Auto)),
+        ("9", multi(false)),
+        ("auto", multi(true)),
         ("auto at 2048 LSB/g and 9.81 m/s²", more_known),
     ]
 }

@@ -4,11 +4,9 @@
 mod regression;
 
 use alloc::format;
-use core::mem::discriminant;
 
 use wimu_model::{CalibratedTemperature, ErrorModel, ErrorTerms, ModelError, TemperatureTerms};
 
-use crate::estimate::TermDeviations;
 use crate::terms;
 use crate::{Covariance, Estimate, Gravity, Parameter, Parameters, Reason, Refusal, Term, Terms};
 use regression::{Sessions, slope_of};
@@ -25,37 +23,22 @@ pub struct Combined {
     /// mean and that between sessions, including the uncertainty of both and of gravity. 1.96
     /// standard deviations are a 95 % interval.
     pub covariance: Covariance,
-    /// Standard deviation between sessions of each [`Group`], the best estimate.
+    /// Standard deviation between sessions of the bias, m/s², the scale factors and the misalignments, rad, the best estimate.
     pub between_sd: [f64; 3],
     /// Degrees of freedom of `between_sd`; 0 of a group that was not fitted.
     pub dof: [f64; 3],
-    /// Standard deviations of the temperature coefficients; 0 where they were not estimated.
-    pub slope_sd: TermDeviations,
+    /// Standard deviations of the temperature coefficients, in the order of [`Term::ALL`]; 0 where they were not estimated.
+    pub term_sd: [[f64; 3]; Term::ALL.len()],
     /// Temperatures of the sessions, if all have one.
     pub temperature: Option<CalibratedTemperature>,
 }
 
-/// Parameters that have one standard deviation between sessions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Group {
-    /// The bias, m/s².
-    Bias,
-    /// The scale factors.
-    Scale,
-    /// The misalignments, rad.
-    Misalignment,
-}
-
-impl Group {
-    /// All groups, in the order of [`Combined::between_sd`].
-    pub const ALL: [Self; 3] = [Self::Bias, Self::Scale, Self::Misalignment];
-
-    fn of(parameter: Parameter) -> Self {
-        match parameter.index() {
-            0..3 => Self::Bias,
-            3 | 7 | 11 => Self::Scale,
-            _ => Self::Misalignment,
-        }
+/// Parameters that have one standard deviation between sessions: 0 the bias, 1 the scale factors, 2 the misalignments.
+fn group_of(parameter: Parameter) -> usize {
+    match parameter.index() {
+        0..3 => 0,
+        3 | 7 | 11 => 1,
+        _ => 2,
     }
 }
 
@@ -67,28 +50,29 @@ impl Group {
 pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Refusal> {
     check(estimates)?;
     let sessions = Sessions::new(estimates);
-    let found = Group::ALL.map(|group| sessions.between(group));
+    let found = [0, 1, 2].map(|group| sessions.between(group));
     // The covariance is that of the mean of what τ² can be.
-    let expected = Group::ALL.map(|group| sessions.expected(group, found[group as usize]));
-    let lines = Parameter::ALL.map(|p| sessions.line(p, expected[Group::of(p) as usize]));
-    let best = Parameter::ALL.map(|p| sessions.line(p, found[Group::of(p) as usize].variance));
+    let expected = [0, 1, 2].map(|group| sessions.expected(group, found[group]));
+    let lines = Parameter::ALL.map(|p| sessions.line(p, expected[group_of(p)]));
+    let best = Parameter::ALL.map(|p| sessions.line(p, found[group_of(p)].variance));
 
     let mut theta = terms::theta_of(&estimates[0].model);
-    let mut slope_sd = TermDeviations::default();
+    let mut term_sd = [[0.0; 3]; Term::ALL.len()];
     for parameter in estimates[0].fitted.iter() {
         let i = parameter.index();
         theta[i] = best[i].at[0];
-        if let Some(slot) = slope_of(parameter) {
+        if let Some((slope, term)) = slope_of(parameter).and_then(|at| Some((at, terms::term(at)?)))
+        {
             let unit = if i < 3 { 1.0 } else { best[i].at[0] };
-            theta[slot.index()] = best[i].at[1] / unit;
-            slope_sd.set(slot, lines[i].slope_sd() / unit);
+            theta[slope] = best[i].at[1] / unit;
+            term_sd[term as usize][slope % 3] = lines[i].slope_sd() / unit;
         }
     }
     let model = model(&theta, &sessions)
         .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     let mut covariance = sessions.covariance(&lines);
     for parameter in estimates[0].fitted.iter() {
-        let between = expected[Group::of(parameter) as usize];
+        let between = expected[group_of(parameter)];
         covariance.add(parameter, parameter, between);
     }
     covariance.add_gravity(&theta, gravity);
@@ -98,7 +82,7 @@ pub fn combine(estimates: &[Estimate], gravity: Gravity) -> Result<Combined, Ref
         covariance,
         between_sd: found.map(|between| libm::sqrt(between.variance)),
         dof: found.map(|between| between.dof),
-        slope_sd,
+        term_sd,
         temperature: sessions.temperature(),
     })
 }
@@ -112,9 +96,7 @@ fn check(estimates: &[Estimate]) -> Result<(), Refusal> {
     for (session, estimate) in estimates.iter().enumerate() {
         let allowed = [Terms::NONE, Terms::NONE.with(Term::Drift)];
         let sound = |p: Parameter| estimate.covariance.sd(p).is_finite();
-        let why = if estimate.fitted != first.fitted
-            || discriminant(&estimate.method) != discriminant(&first.method)
-        {
+        let why = if estimate.fitted != first.fitted || estimate.method != first.method {
             "has another method or model than session 0: fit all with one"
         } else if !allowed.contains(&estimate.terms) {
             "has temperature or quadratic terms: fit the sessions without them"

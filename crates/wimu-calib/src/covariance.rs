@@ -1,10 +1,12 @@
 //! Covariance of an error model's parameters.
 
-use crate::terms::{Slot, Theta, USUAL_BIAS_MPS2};
-use crate::{Gravity, Parameter, Parameters};
+use wimu_model::{ErrorTerms, TemperatureTerms};
+
+use crate::terms::{self, Theta, USUAL_BIAS_MPS2};
+use crate::{Gravity, Parameter, Parameters, Term};
 
 /// Covariance of the 12 parameters of y = b + A f: m/s² for the bias, 1 for A.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Covariance([[f64; Parameter::COUNT]; Parameter::COUNT]);
 
 impl Covariance {
@@ -23,6 +25,23 @@ impl Covariance {
         &self.0
     }
 
+    /// Standard deviations in the form of the model, with those of the terms in the order of [`Term::ALL`].
+    pub fn deviations(&self, terms: &[[f64; 3]; Term::ALL.len()]) -> ErrorTerms {
+        let sd = Parameter::ALL.map(|parameter| self.sd(parameter));
+        let [_, bias_mps2_per_k, scale_per_k, nonlinearity] = *terms;
+        ErrorTerms {
+            bias_mps2: [sd[0], sd[1], sd[2]],
+            matrix: [[sd[3], sd[4], sd[5]], [sd[6], sd[7], sd[8]], [sd[9], sd[10], sd[11]]],
+            temperature: TemperatureTerms {
+                reference_c: 0.0,
+                bias_mps2_per_k,
+                scale_per_k,
+                ..TemperatureTerms::default()
+            },
+            nonlinearity,
+        }
+    }
+
     pub(crate) const ZERO: Self = Self([[0.0; Parameter::COUNT]; Parameter::COUNT]);
 
     pub(crate) fn add(&mut self, a: Parameter, b: Parameter, covariance: f64) {
@@ -30,11 +49,11 @@ impl Covariance {
     }
 
     /// Adds the covariances of the fitted parameters `free`, as far as they are among the 12.
-    pub(crate) fn add_fitted(&mut self, free: &[Slot], more: impl Fn(usize, usize) -> f64) {
+    pub(crate) fn add_fitted(&mut self, free: &[usize], more: impl Fn(usize, usize) -> f64) {
         for (r, &a) in free.iter().enumerate() {
             for (c, &b) in free.iter().enumerate() {
-                if let Some((a, b)) = a.parameter().zip(b.parameter()) {
-                    self.add(a, b, more(r, c));
+                if a.max(b) < Parameter::COUNT {
+                    self.0[a][b] += more(r, c);
                 }
             }
         }
@@ -47,12 +66,13 @@ impl Covariance {
     /// Sets the variance of unobserved parameters to that of typical datasheets: 50 mg, 3 %, 2 %.
     pub(crate) fn take_for_granted(&mut self, unseen: Parameters) {
         for parameter in unseen.iter() {
-            let usual = Slot::of(parameter).usual_sd().unwrap_or(USUAL_BIAS_MPS2);
+            let usual = terms::usual_sd(parameter.index()).unwrap_or(USUAL_BIAS_MPS2);
             self.set(parameter, parameter, usual * usual);
         }
     }
 
-    pub(crate) fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
+    /// Of a full matrix, in the order of [`Parameter::ALL`].
+    pub fn from_matrix(matrix: &[[f64; Parameter::COUNT]; Parameter::COUNT]) -> Self {
         Self(*matrix)
     }
 

@@ -1,6 +1,8 @@
 //! Experimental design, choice of the next orientations: equation (44).
 
-use nalgebra::{SMatrix, SVector};
+use alloc::vec::Vec;
+
+use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::{Orientation, Parameter, Parameters, Pose};
 
@@ -13,24 +15,15 @@ const MOST_EXCHANGES: usize = 4;
 /// Largest number of recommended poses.
 const MOST_ADVISED: usize = 60;
 
-fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
-    let norm = libm::sqrt(dot(v, v));
-    (norm > 0.0 && norm.is_finite()).then(|| v.map(|c| c / norm))
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
 /// Poses planned together.
-type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
+type Plan = Vec<Orientation>;
 
 /// Recommends the next orientation: the one that adds most information on the parameters (D-optimal
 /// design), given those taken so far. If the number of further poses is known,
 /// [`next_of`](Self::next_of) plans them together.
 ///
 /// ```
-/// use wimu_calib::{Guide, Orientation};
+/// use wimu_calib::{Guide, Parameter};
 ///
 /// let mut guide = Guide::default();
 /// for remaining in (1..=12).rev() {
@@ -38,7 +31,7 @@ type Plan = heapless::Vec<Orientation, { Guide::MOST_PLANNED }>;
 ///     println!("{}", next.instruction());
 ///     guide.take(next.up());
 /// }
-/// assert!(guide.amplification() < 1.2);
+/// assert!(guide.sd(Parameter::BiasX) < 0.51);
 /// ```
 #[derive(Clone, Debug)]
 pub struct Guide {
@@ -65,8 +58,9 @@ impl Guide {
 
     /// Adds a pose with `up` upward, of any length, sensor axes; ignored without a direction.
     pub fn take(&mut self, up: [f64; 3]) {
-        if let Some(up) = unit(up) {
-            self.change(up, 1.0);
+        let up = Vector3::from(up).normalize();
+        if up.iter().all(|axis| axis.is_finite()) {
+            self.change(up.into(), 1.0);
         }
     }
 
@@ -139,7 +133,7 @@ impl Guide {
             let next = guide.next(&start)?;
             known += libm::log(1.0 + guide.variance(next.up()));
             guide.take(next.up());
-            let _ = plan.push(next);
+            plan.push(next);
         }
         for _ in 0..MOST_EXCHANGES {
             let mut better = false;
@@ -180,12 +174,6 @@ impl Guide {
             expected = with_it;
         }
         MOST_ADVISED
-    }
-
-    /// Amplification of an error from the poses to the worst of 26 orientations.
-    pub fn amplification(&self) -> f64 {
-        let variances = Orientation::ALL.into_iter().map(|o| self.variance(o.up()));
-        libm::sqrt(variances.fold(0.0, f64::max))
     }
 
     /// Expected standard deviation of a parameter for poses of unit variance, (m/s²)²: of a bias in m/s², of the others at

@@ -2,7 +2,7 @@
 
 use nalgebra::{Cholesky, Matrix3, SMatrix, SVector, Vector3};
 
-use crate::terms::{Slot, Theta};
+use crate::terms::{self, Theta};
 use crate::{Gravity, Pose};
 
 /// Centre c and matrix Q of the ellipsoid (x − c)ᵀ Q (x − c) = 1 nearest to `points`; `None` where
@@ -38,7 +38,7 @@ pub(crate) fn start(poses: &[Pose], gravity: Gravity) -> Option<Theta> {
     // y = c + A u with |u| = 1 gives A Aᵀ = Q⁻¹; its Cholesky factor is the triangular A.
     let a = Cholesky::new(q.try_inverse()?)?.unpack();
     let c = centre * gravity_mps2;
-    let mut theta = [0.0; Slot::COUNT];
+    let mut theta = [0.0; terms::COUNT];
     for row in 0..3 {
         theta[row] = c[row];
         for column in 0..=row {

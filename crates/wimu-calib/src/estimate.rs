@@ -1,21 +1,22 @@
 //! Result of a calibration.
 
 use alloc::vec::Vec;
-use core::fmt;
 
-use wimu_model::{CentiCelsius, ErrorModel, Matrix3, SpecificForceMps2};
+use wimu_model::{CalibrationMethod, CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
-use crate::terms::{self, Slot, Terms, Theta};
-use crate::{Covariance, Gravity, Parameter, Parameters, Pose, force, student};
+use crate::terms::{self, Term, Terms};
+use crate::{Covariance, Gravity, Parameter, Parameters, Pose, student};
 
 /// An error model and its quality.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {
     /// The error model.
     pub model: ErrorModel,
     /// How it was estimated.
-    pub method: Method,
+    pub method: CalibrationMethod,
+    /// The placement, with six known orientations.
+    pub sides: Option<Sides>,
     /// The terms fitted in addition to the 12 parameters.
     pub terms: Terms,
     /// Which of the 12 parameters were fitted.
@@ -25,8 +26,9 @@ pub struct Estimate {
     /// Covariance of the 12 parameters, including the uncertainty of gravity and of the terms; with
     /// drift at the last pose, with temperature terms at the reference temperature.
     pub covariance: Covariance,
-    /// Standard deviations of the terms.
-    pub term_sd: TermDeviations,
+    /// Standard deviations of the terms, in the order of [`Term::ALL`]: m/s² from the first pose to the last, m/s² per K,
+    /// 1/K and s²/m; 0 for those that were not fitted.
+    pub term_sd: [[f64; 3]; Term::ALL.len()],
     /// The reference gravity.
     pub gravity: Gravity,
     /// Number of fitted poses.
@@ -79,37 +81,21 @@ impl Estimate {
     /// and counts are still to be set.
     pub(crate) fn orthogonal(
         model: ErrorModel,
-        method: Method,
+        method: CalibrationMethod,
         gravity: Gravity,
         residuals: &Residuals,
     ) -> Self {
         Self {
             model,
             method,
-            terms: Terms::NONE,
-            fitted: Parameters::ALL,
-            assumed: Parameters::default(),
-            covariance: Covariance::ZERO,
-            term_sd: TermDeviations::default(),
             gravity,
-            poses: 0,
-            orientations: 0,
-            dof: 0,
-            interval_dof: None,
-            prior_shares: [0.0; Parameter::COUNT],
-            rms_mps2: residuals.rms_mps2(),
-            fitted_rms_mps2: residuals.rms_mps2(),
-            max_mps2: residuals.largest_mps2,
-            worst_pose: residuals.worst_pose,
-            loo_rms_mps2: None,
-            loo_orientation_rms_mps2: None,
-            pose_sd_mps2: 0.0,
-            rejected: Vec::new(),
+            fitted: Parameters::ALL,
+            rms_mps2: residuals.rms(),
+            fitted_rms_mps2: residuals.rms(),
+            max_mps2: residuals.largest,
+            worst_pose: residuals.worst,
             condition: 1.0,
-            worst_sd_mps2: 0.0,
-            temperature_c: None,
-            temperature_range_c: None,
-            drift: None,
+            ..Self::default()
         }
     }
 
@@ -117,22 +103,16 @@ impl Estimate {
     /// covariance the tolerances of typical datasheets. Not included are the three that are 0 by
     /// convention because gravity alone does not determine a rotation.
     pub fn not_observed(&self) -> Parameters {
-        match self.method {
-            Method::MultiPosition => Parameters::default(),
-            Method::SixPosition { .. } | Method::FourAngle | Method::ThreeAngle => {
-                Parameters::ALL.without(self.fitted)
-            }
+        if self.method == CalibrationMethod::MultiPosition {
+            return Parameters::default();
         }
+        Parameters::ALL.without(self.fitted)
     }
 
-    /// Standard deviations of the parameters in the form of the model; for unobserved ones the
-    /// tolerance of typical datasheets.
-    pub fn sd(&self) -> Deviations {
-        let sd = Parameter::ALL.map(|parameter| self.covariance.sd(parameter));
-        Deviations {
-            bias_mps2: [sd[0], sd[1], sd[2]],
-            matrix: [[sd[3], sd[4], sd[5]], [sd[6], sd[7], sd[8]], [sd[9], sd[10], sd[11]]],
-        }
+    /// Standard deviations of the parameters and terms in the form of the model: for unobserved ones the tolerance of
+    /// typical datasheets, 0 for terms that were not fitted.
+    pub fn sd(&self) -> ErrorTerms {
+        self.covariance.deviations(&self.term_sd)
     }
 
     /// Half width of the 95 % confidence interval of a parameter, in its unit: Student's t with
@@ -178,133 +158,51 @@ pub struct Drift {
     pub span_s: f64,
 }
 
-/// Method of an estimate.
+/// How the sensor was placed in six known orientations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum Method {
-    /// Six known orientations, 12 parameters.
-    SixPosition {
-        /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if the poses contradict it, the
-        /// one that they show.
-        placement_sd_rad: f64,
-        /// The declared placement error, rad.
-        declared_sd_rad: f64,
-        /// Standard deviation between visits of a side, m/s², also in the covariance: with few visits mostly that of
-        /// typical sensors.
-        revisit_sd_mps2: f64,
-        /// Poses beyond the first of each side.
-        revisits: usize,
-    },
-    /// Any orientations, from the magnitude of gravity.
-    MultiPosition,
-    /// Rotations in four steps about a horizontal axis: bias and scale factor of the axes in the
-    /// plane.
-    FourAngle,
-    /// Rotations in three steps about a horizontal axis.
-    ThreeAngle,
+pub struct Sides {
+    /// Placement error in the covariance, rad, 1 σ about each axis: the declared one or, if the poses contradict it, the one
+    /// that they show.
+    pub placement_sd_rad: f64,
+    /// The declared placement error, rad.
+    pub declared_sd_rad: f64,
+    /// Standard deviation between visits of a side, m/s², also in the covariance: with few visits mostly that of typical
+    /// sensors.
+    pub revisit_sd_mps2: f64,
+    /// Poses beyond the first of each side.
+    pub revisits: usize,
 }
 
-impl fmt::Display for Method {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::SixPosition { .. } => out.write_str("six-position"),
-            Self::MultiPosition => out.write_str("multi-position"),
-            Self::FourAngle => out.write_str("four-angle"),
-            Self::ThreeAngle => out.write_str("three-angle"),
-        }
-    }
-}
-
-/// Standard deviations, 1 σ, of an error model's terms.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Deviations {
-    /// Of the bias, m/s².
-    pub bias_mps2: [f64; 3],
-    /// Of A.
-    pub matrix: Matrix3,
-}
-
-/// Standard deviations, 1 σ, of the [`Terms`]; 0 for those that were not fitted.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TermDeviations {
-    /// Of the drift from the first pose to the last, m/s².
-    pub drift_mps2: [f64; 3],
-    /// Of b₁, m/s² per K.
-    pub bias_mps2_per_k: [f64; 3],
-    /// Of s₁, 1/K.
-    pub scale_per_k: [f64; 3],
-    /// Of q, s²/m.
-    pub nonlinearity: [f64; 3],
-}
-
-impl TermDeviations {
-    /// Standard deviation of one parameter; 0 if it does not belong to a term.
-    pub(crate) fn get(mut self, slot: Slot) -> f64 {
-        self.get_mut(slot).map_or(0.0, |sd| *sd)
-    }
-
-    /// Sets the standard deviation of one parameter, if it belongs to a term.
-    pub(crate) fn set(&mut self, slot: Slot, sd: f64) {
-        if let Some(place) = self.get_mut(slot) {
-            *place = sd;
-        }
-    }
-
-    /// Adds variances of the fitted parameters `free`, as far as they belong to terms.
-    pub(crate) fn add_fitted(&mut self, free: &[Slot], variance: impl Fn(usize) -> f64) {
-        for (i, &slot) in free.iter().enumerate() {
-            let sd = self.get(slot);
-            self.set(slot, libm::sqrt((sd * sd + variance(i)).max(0.0)));
-        }
-    }
-
-    fn get_mut(&mut self, slot: Slot) -> Option<&mut f64> {
-        let group = match slot.term()? {
-            terms::Term::Drift => &mut self.drift_mps2,
-            terms::Term::BiasTemperature => &mut self.bias_mps2_per_k,
-            terms::Term::ScaleTemperature => &mut self.scale_per_k,
-            terms::Term::Quadratic => &mut self.nonlinearity,
-        };
-        group.get_mut(slot.index() % 3)
-    }
-}
-
-/// Statistics of the residuals |f| − g.
+/// Rms of residuals, and the largest one.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Residuals {
     squares: f64,
-    count: f64,
-    pub largest_mps2: f64,
-    pub worst_pose: usize,
+    pub count: usize,
+    pub largest: f64,
+    /// Index of the largest.
+    pub worst: usize,
 }
 
 impl Residuals {
-    /// Residuals under the first twelve parameters.
-    pub fn of<'a>(theta: &Theta, poses: impl Iterator<Item = &'a Pose>, gravity_mps2: f64) -> Self {
-        let mut residuals = Self::default();
-        for (k, pose) in poses.enumerate() {
-            residuals.add(k, force::residual(theta, pose, gravity_mps2));
-        }
-        residuals
+    /// Of those with their indices.
+    pub fn of(residuals: impl Iterator<Item = (usize, f64)>) -> Self {
+        residuals.fold(Self::default(), |mut all, (index, residual)| {
+            let size = residual.abs();
+            (all.squares, all.count) = (all.squares + size * size, all.count + 1);
+            if size > all.largest {
+                (all.largest, all.worst) = (size, index);
+            }
+            all
+        })
     }
 
-    pub fn of_each(residuals_mps2: &[f64]) -> Self {
-        let mut all = Self::default();
-        residuals_mps2.iter().enumerate().for_each(|(k, residual)| all.add(k, *residual));
-        all
+    pub fn rms(&self) -> f64 {
+        libm::sqrt(self.squares / self.count.max(1) as f64)
     }
 
-    pub fn add(&mut self, pose: usize, residual_mps2: f64) {
-        let size = residual_mps2.abs();
-        self.squares += size * size;
-        self.count += 1.0;
-        if size > self.largest_mps2 {
-            self.largest_mps2 = size;
-            self.worst_pose = pose;
-        }
-    }
-
-    pub fn rms_mps2(&self) -> f64 {
-        libm::sqrt(self.squares / self.count)
+    /// The rms without the largest.
+    pub fn others_rms(&self) -> f64 {
+        let rest = self.squares - self.largest * self.largest;
+        libm::sqrt(rest.max(0.0) / self.count.saturating_sub(1).max(1) as f64)
     }
 }

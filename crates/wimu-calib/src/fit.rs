@@ -3,18 +3,18 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use wimu_model::{ErrorModel, ErrorTerms, TemperatureTerms};
+use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms, TemperatureTerms};
 
-use crate::estimate::{Drift, Residuals, TermDeviations};
+use crate::estimate::{Drift, Residuals};
 use crate::force::Conditions;
 use crate::magnitude::{Fit, Knowledge, Magnitude, Shared};
 use crate::multi_position::range;
-use crate::terms::{self, PERFECT, Slot, Term, Terms, Theta};
+use crate::terms::{self, PERFECT, Term, Terms, Theta};
 use crate::visits::Visits;
 use crate::weights::Weighting;
 use crate::{
-    Covariance, Estimate, Gravity, Method, MultiPosition, Parameter, Parameters, Pose, Reason,
-    Refusal, ellipsoid, input, outliers, pose,
+    Covariance, Estimate, Gravity, MultiPosition, Parameter, Parameters, Pose, Reason, Refusal,
+    ellipsoid, input, outliers, pose,
 };
 
 /// Largest leave-one-out error, in standard deviations of a residual. Above it a single pose
@@ -63,19 +63,16 @@ pub(crate) fn fit<'a>(
     conditions: Conditions,
 ) -> Result<Found<'a>, Refusal> {
     let nine = Parameters::OF_GRAVITY;
-    let is_fitted = |slot: &Slot| match slot.parameter() {
+    let is_fitted = |index: &usize| match terms::parameter(*index) {
         Some(parameter) => nine.contains(parameter),
-        None => slot.term().is_some_and(|term| terms.contains(term)),
+        None => terms::term(*index).is_some_and(|term| terms.contains(term)),
     };
-    let free: Vec<Slot> = Slot::ALL.into_iter().filter(is_fitted).collect();
+    let free: Vec<usize> = (0..terms::COUNT).filter(is_fitted).collect();
     let has_prior =
-        |slot: &Slot| what.priors && !slot.term().is_some_and(|term| what.terms.contains(term));
+        |index| what.priors && !terms::term(index).is_some_and(|term| what.terms.contains(term));
     let mut problem = Magnitude::new(poses, visits, gravity.mps2(), conditions, free);
     problem.set_priors(has_prior);
-    let defect = || {
-        let dead = || input::dead_axis(poses, gravity).map(Refusal::stuck);
-        input::mixed_units(poses).or_else(dead)
-    };
+    let defect = || input::dead_axis(poses, gravity).map(Refusal::stuck);
     let ellipsoid = ellipsoid::start(poses, gravity).filter(|_| !what.priors);
     let squares = ellipsoid.and_then(|start| problem.solve(&start));
     let squares = squares.or_else(|| problem.solve(&PERFECT));
@@ -141,9 +138,8 @@ fn contradictions(problem: &mut Magnitude, fit: Fit) -> Result<Option<Fit>, Refu
         }
         if !bad.spared {
             let poses = problem.poses;
-            let stuck = || input::stuck_axis(poses).map(Refusal::stuck);
             let clipped = || input::clipped_axis(poses).map(Refusal::saturated);
-            let refusal = input::mixed_units(poses).or_else(stuck).or_else(clipped);
+            let refusal = input::stuck_axis(poses).map(Refusal::stuck).or_else(clipped);
             return Err(refusal.unwrap_or_else(|| bad.refusal()));
         }
         problem.rejected.push(bad.pose);
@@ -187,21 +183,20 @@ impl Found<'_> {
         let too_few = || too_few_poses(problem.independent().0, *what);
         let shared = problem.shared(fit).ok_or_else(too_few)?;
         let residuals = problem.residuals(theta);
-        let mut kept = Residuals::default();
-        problem.kept().for_each(|k| kept.add(k, residuals[k]));
-        if kept.rms_mps2() > SUSPICIOUS_RMS_MPS2
+        let kept = Residuals::of(problem.kept().map(|k| (k, residuals[k])));
+        if kept.rms() > SUSPICIOUS_RMS_MPS2
             && let Some(axis) = input::clipped_axis(poses)
         {
             return Err(Refusal::saturated(axis));
         }
         let most_rms = MOST_RMS_MPS2[usize::from(self.terms != Terms::NONE)];
-        if kept.rms_mps2() > most_rms {
-            return Err(input::mixed_units(poses).unwrap_or_else(|| poor_fit(&kept)));
+        if kept.rms() > most_rms {
+            return Err(poor_fit(&kept));
         }
         let mut covariance = Covariance::ZERO;
         covariance.add_fitted(free, |r, c| shared.variance * shared.spread[(r, c)]);
         covariance.add_gravity(theta, self.gravity);
-        Ok(Basis { model, covariance, rms_mps2: kept.rms_mps2(), shared })
+        Ok(Basis { model, covariance, rms_mps2: kept.rms(), shared })
     }
 
     fn error_terms(&self) -> ErrorTerms {
@@ -225,24 +220,24 @@ impl Found<'_> {
         let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
         let theta: &Theta = &fit.at;
-        let all = Residuals::of_each(&problem.residuals(theta));
+        let all = Residuals::of(problem.residuals(theta).into_iter().enumerate());
         let left_out = problem.left_out(fit, true);
         // By orientation: a repeated orientation does not confirm the model elsewhere.
         let again = problem.independent().1;
         let by_orientation = again.then(|| problem.left_out(fit, false));
         // A rejected pose says nothing of the fit: it would hide how well the others are predicted.
-        let of_kept = |residuals: &[f64]| {
-            let mut kept = Residuals::default();
-            problem.kept().for_each(|k| kept.add(k, residuals[k]));
-            kept
-        };
+        let of_kept = |residuals: &[f64]| Residuals::of(problem.kept().map(|k| (k, residuals[k])));
         let kept_left_out = of_kept(by_orientation.as_ref().unwrap_or(&left_out));
         let sd = libm::sqrt(shared.variance);
         let sd_of = |i: usize| sd * libm::sqrt(shared.spread[(i, i)]);
-        let mut term_sd = TermDeviations::default();
-        term_sd.add_fitted(free, |i| sd_of(i) * sd_of(i));
+        let mut term_sd = [[0.0; 3]; Term::ALL.len()];
+        for (i, index) in free.iter().enumerate() {
+            if let Some(term) = terms::term(*index) {
+                term_sd[term as usize][index % 3] = sd_of(i);
+            }
+        }
         let most = (MOST_LEFT_OUT * sd).max(GOOD_LEFT_OUT_MPS2);
-        let predicted = kept_left_out.rms_mps2();
+        let predicted = kept_left_out.rms();
         // With priors, the intervals hold what a single pose determines.
         if !what.priors && (predicted > most || predicted.is_nan()) {
             return Err(poor_prediction(rms_mps2, &kept_left_out));
@@ -252,15 +247,16 @@ impl Found<'_> {
             prior.is_some_and(|prior| sd_of(*i) > ASSUMED * prior)
         };
         let mut prior_shares = [0.0; Parameter::COUNT];
-        for (slot, share) in free.iter().zip(problem.prior_shares(fit)) {
-            if let Some(parameter) = slot.parameter() {
-                prior_shares[parameter.index()] = share;
+        for (index, share) in free.iter().zip(problem.prior_shares(fit)) {
+            if let Some(of_parameter) = prior_shares.get_mut(*index) {
+                *of_parameter = share;
             }
         }
-        let assumed = (0..free.len()).filter(is_assumed).filter_map(|i| free[i].parameter());
+        let assumed = (0..free.len()).filter(is_assumed).filter_map(|i| terms::parameter(free[i]));
         Ok(Estimate {
             model,
-            method: Method::MultiPosition,
+            method: CalibrationMethod::MultiPosition,
+            sides: None,
             terms: self.terms,
             fitted: Parameters::OF_GRAVITY,
             assumed: assumed.collect(),
@@ -272,12 +268,12 @@ impl Found<'_> {
             dof: (problem.count() as f64 - problem.determined(fit)).max(0.0) as usize,
             interval_dof: Some(shared.dof),
             prior_shares,
-            rms_mps2: all.rms_mps2(),
+            rms_mps2: all.rms(),
             fitted_rms_mps2: rms_mps2,
-            max_mps2: all.largest_mps2,
-            worst_pose: all.worst_pose,
-            loo_rms_mps2: Some(of_kept(&left_out).rms_mps2()),
-            loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms_mps2()),
+            max_mps2: all.largest,
+            worst_pose: all.worst,
+            loo_rms_mps2: Some(of_kept(&left_out).rms()),
+            loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
             rejected: problem.rejected.clone(),
             condition: self.knowledge.condition,
@@ -294,7 +290,7 @@ impl Found<'_> {
 }
 
 fn poor_fit(residuals: &Residuals) -> Refusal {
-    let (rms, index) = (residuals.rms_mps2(), residuals.worst_pose);
+    let (rms, index) = (residuals.rms(), residuals.worst);
     let text = format!(
         "The residuals are {:.0} mm/s² rms, the largest in pose {index} (from 0). Leave that pose out, and check that the \
          sensor was at rest and not saturated.",
@@ -304,7 +300,7 @@ fn poor_fit(residuals: &Residuals) -> Refusal {
 }
 
 fn poor_prediction(rms_mps2: f64, left_out: &Residuals) -> Refusal {
-    let (predicted, index) = (left_out.rms_mps2(), left_out.worst_pose);
+    let (predicted, index) = (left_out.rms(), left_out.worst);
     let error = if predicted.is_finite() {
         format!("the leave-one-out error is {:.2} mm/s² rms", predicted * 1e3)
     } else {

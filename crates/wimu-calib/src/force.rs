@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::TemperatureTerms;
 
-use crate::terms::{Slot, Theta};
+use crate::terms::{self, Theta};
 use crate::{Orientation, Pose};
 
 /// Reference time and temperature of the terms.
@@ -55,7 +55,7 @@ impl<'a> Evaluated<'a> {
     /// `None` unless A has a positive determinant. A mirrored A gives the same magnitudes; a step that leads to one
     /// was too long.
     pub fn new(theta: &'a Theta) -> Option<Self> {
-        let warms = Slot::SCALE_SLOPE.iter().any(|slot| theta[slot.index()] != 0.0);
+        let warms = terms::triple(theta, 18) != [0.0; 3];
         Some(Self { theta, inverse: inverse(theta, 0.0)?, warms })
     }
 
@@ -91,7 +91,7 @@ impl<'a> Evaluated<'a> {
         // w = A⁻ᵀ (1 − 2 diag(q ∘ z)) n, and n = f/|f|.
         let (w, n) = (at.inverse.tr_mul(&m) * per_norm, at.force * per_norm);
         let z = &at.z;
-        let mut d = [0.0; Slot::COUNT];
+        let mut d = [0.0; terms::COUNT];
         for row in 0..3 {
             d[row] = -w[row];
             for column in 0..3 {
@@ -111,7 +111,7 @@ impl<'a> Evaluated<'a> {
 fn inverse(theta: &Theta, warmer: f64) -> Option<Matrix3<f64>> {
     let mut a = Matrix3::from_fn(|r, c| theta[3 + 3 * r + c]);
     for axis in 0..3 {
-        a[(axis, axis)] *= 1.0 + theta[Slot::SCALE_SLOPE[axis].index()] * warmer;
+        a[(axis, axis)] *= 1.0 + theta[18 + axis] * warmer;
     }
     a.try_inverse().filter(|_| a.determinant() > 0.0)
 }
@@ -125,10 +125,17 @@ pub(crate) fn magnitude(theta: &Theta, output: [f64; 3], warmer: f64) -> Option<
     Some((applied.force.norm(), core::array::from_fn(|i| all[i])))
 }
 
-/// Residual |f| − g of a pose under the first twelve parameters, m/s²; infinite if A is singular.
-pub(crate) fn residual(theta: &Theta, pose: &Pose, gravity_mps2: f64) -> f64 {
-    Evaluated::new(theta)
-        .map_or(f64::INFINITY, |at| at.apply(pose.mean_mps2, 0.0, 0.0).force.norm() - gravity_mps2)
+/// Residual |f| − g of each pose under the first twelve parameters, m/s²; infinite if A is singular.
+pub(crate) fn residuals(
+    theta: &Theta,
+    poses: &[Pose],
+    gravity_mps2: f64,
+) -> impl Iterator<Item = (usize, f64)> {
+    let at = Evaluated::new(theta);
+    poses.iter().enumerate().map(move |(k, pose)| {
+        let force = at.as_ref().map(|at| at.apply(pose.mean_mps2, 0.0, 0.0).force);
+        (k, force.map_or(f64::INFINITY, |force| force.norm() - gravity_mps2))
+    })
 }
 
 /// Standard deviation of |f| − g in the worst of 26 orientations, m/s², from the covariance of the

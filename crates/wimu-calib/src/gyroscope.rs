@@ -18,9 +18,10 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
+use crate::estimate::Residuals;
 use crate::orientation::axis_name;
 use crate::{Covariance, Estimate, Parameters, Pose, Refusal, student};
-use model::{Angles, Fit, Noise, Point, Rotations, Squares};
+use model::{Fit, Noise, Point, Rotations, Squares};
 use rests::Session;
 
 /// Number of parameters: bias X, Y, Z (rad/s), A row by row, G row by row (rad/s per m/s²).
@@ -142,10 +143,6 @@ pub struct GyroscopeEstimate {
     /// Degrees of freedom of the variances for the intervals of bias and G, and of A; infinite if the
     /// noise of the samples explains the residuals.
     pub dof: [f64; 2],
-    /// Random walk of the bias, rad/s in 1 s, 1 σ.
-    pub bias_walk_rad_s_rts: f64,
-    /// Error of a turn over its angle, 1 σ.
-    pub turn_error: f64,
     /// Number of turns used.
     pub turns: usize,
     /// Error of the predicted directions of gravity over the turns used, rad rms: uncalibrated, and
@@ -167,16 +164,16 @@ impl GyroscopeSession<'_> {
         let start = checks::plausible(&session)?;
         loop {
             let found =
-                fit(&session, start).ok_or_else(|| checks::inconsistent(&Angles::default()))?;
-            let Angles { worst_rad, worst_turn, count, .. } = found.angles;
+                fit(&session, start).ok_or_else(|| checks::inconsistent(&Residuals::default()))?;
+            let Residuals { largest, worst, count, .. } = found.angles;
             let (least, times, share) = OUTLIER;
-            let is_outlier = worst_rad > least.max(times * found.angles.others_rad());
+            let is_outlier = largest > least.max(times * found.angles.others_rms());
             let left = session.contradicted.len();
             if is_outlier && share * (left + 1) <= count + left {
-                session.contradicted.push(worst_turn);
+                session.contradicted.push(worst);
                 continue;
             }
-            if found.angles.rms_rad() > LARGEST_RAD {
+            if found.angles.rms() > LARGEST_RAD {
                 return Err(checks::inconsistent(&found.angles));
             }
             return result(&session, &found)
@@ -195,7 +192,7 @@ struct Found {
     fit: Fit,
     noise: Noise,
     squares: [Squares; 2],
-    angles: Angles,
+    angles: Residuals,
 }
 
 /// Iterates the fit, and the variances with it: equation (149).
@@ -258,11 +255,9 @@ fn result(session: &Session<'_>, found: &Found) -> Result<GyroscopeEstimate, Mod
         model,
         covariance: covariance.into(),
         dof: [dof(0), dof(1)],
-        bias_walk_rad_s_rts: libm::sqrt(noise.bias),
-        turn_error: libm::sqrt(noise.turn),
         turns: angles.count,
-        before_rad: session.angles(nalgebra::Matrix3::identity(), false).rms_rad(),
-        rms_rad: angles.rms_rad(),
+        before_rad: session.angles(nalgebra::Matrix3::identity(), false).rms(),
+        rms_rad: angles.rms(),
         left_out: session.left_out(&theta),
     })
 }

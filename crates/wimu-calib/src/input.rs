@@ -26,7 +26,7 @@ pub(crate) fn check<'a>(
         return Ok(());
     }
     let mean_mps2 = sum / count;
-    match unit(mean_mps2, gravity.mps2()) {
+    match UnitHint::of(mean_mps2, gravity.mps2()) {
         Some(hint) => Err(match stands(poses, mean_mps2) {
             Some(axis) => Refusal::stuck(axis),
             None => Refusal::unexpected_magnitude(mean_mps2, hint),
@@ -78,21 +78,6 @@ fn silent(pose: &Pose, axis: usize) -> bool {
     pose.samples >= MANY_SAMPLES && pose.sd_mps2[axis] <= 0.0
 }
 
-/// The probable unit of a mean magnitude that cannot be gravity in m/s².
-pub(crate) fn unit(mean_mps2: f64, gravity_mps2: f64) -> Option<UnitHint> {
-    // Bias and scale factor within the bounds of the error model change |y| by less than this.
-    if (0.4..=2.1).contains(&(mean_mps2 / gravity_mps2)) {
-        return None;
-    }
-    Some(match mean_mps2 {
-        m if (0.7..1.4).contains(&m) => UnitHint::G,
-        m if (85.0..108.0).contains(&m) => UnitHint::Mps2TakenForG,
-        m if (700.0..1400.0).contains(&m) => UnitHint::MilliGOrCounts,
-        m if m > 100.0 && m < 1e6 => UnitHint::Counts,
-        _ => UnitHint::NotGravity,
-    })
-}
-
 /// Smallest range of the readings of an axis that was rotated, m/s²: 0.6°.
 const TURNED_MPS2: f64 = 0.1;
 /// Largest reading of an axis at rest, relative to gravity.
@@ -123,21 +108,6 @@ pub(crate) fn dead_axis(poses: &[Pose], gravity: Gravity) -> Option<usize> {
             && others().any(|other| poses.iter().all(|pose| !silent(pose, other)));
         high - low > 0.3 * high || most > BEYOND_GRAVITY * gravity.mps2() || alone
     })
-}
-
-/// Refuses poses of which some are in g and the others in m/s².
-pub(crate) fn mixed_units(poses: &[Pose]) -> Option<Refusal> {
-    let longest = magnitudes(poses).fold(0.0, f64::max);
-    // 9.8 m/s² per g, ± 25 %.
-    let shorter = |size: &f64| (7.3..13.0).contains(&(longest / size));
-    let pose = magnitudes(poses).position(|size| shorter(&size))?;
-    let rest = magnitudes(poses).filter(|size| !shorter(size));
-    // All other poses have a similar magnitude.
-    let alike = rest.fold(f64::INFINITY, f64::min) > 0.6 * longest;
-    let magnitude = magnitudes(poses).nth(pose)?;
-    let text =
-        format!("Pose {pose} (from 0) looks like g, the others like m/s². Give all in one unit.");
-    alike.then(|| Refusal::new(Reason::Unit { magnitude, hint: UnitHint::G }, text))
 }
 
 fn magnitudes(poses: &[Pose]) -> impl Iterator<Item = f64> {

@@ -202,11 +202,6 @@ pub(crate) fn minimise<M: ResidualModel>(
     end.converged.then_some(Fit { at: end.at, inverse, cost: end.cost })
 }
 
-/// xᵀ M x of a symmetric M.
-pub(crate) fn quadratic(matrix: &DMatrix<f64>, x: &DVector<f64>) -> f64 {
-    matrix.column_iter().zip(x).map(|(column, x_of_column)| x_of_column * column.dot(x)).sum()
-}
-
 fn more(damping: f64) -> f64 {
     (damping * 10.0).max(LEAST_DAMPING)
 }
@@ -214,7 +209,7 @@ fn more(damping: f64) -> f64 {
 impl<P: Clone> Fit<P> {
     /// Variance that the fit gives to an observation with derivatives `row`, for residuals of unit variance.
     pub fn variance(&self, row: &DVector<f64>) -> f64 {
-        quadratic(&self.inverse, row)
+        row.dot(&(&self.inverse * row))
     }
 
     /// Adds an observation to the linearised fit, or with negative `weight` removes one; returns the step of the

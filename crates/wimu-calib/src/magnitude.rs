@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::force::{Conditions, Evaluated};
 use crate::least_squares::{self, ResidualModel, Rows, Scaled, Settings};
-use crate::terms::{PERFECT, Slot, Theta, USUAL_BIAS_MPS2};
+use crate::terms::{self, PERFECT, Theta, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::weights::{USUAL_DOF, USUAL_MPS2, Weighting};
 use crate::{Orientation, Pose, Reason, Refusal};
@@ -38,8 +38,8 @@ pub(crate) struct Magnitude<'a> {
     pub weighting: Weighting,
     /// Indices of the rejected poses, the worst first.
     pub rejected: Vec<usize>,
-    /// The fitted parameters; the others keep their starting values.
-    pub free: Vec<Slot>,
+    /// The fitted parameters, indices of [`Theta`]; the others keep their starting values.
+    pub free: Vec<usize>,
     /// Standard deviation of the prior of each about a perfect sensor; `None` if it is flat.
     pub prior_sd: Vec<Option<f64>>,
     /// Standard deviation of a residual of weight 1, m/s², against which the priors are weighed.
@@ -58,13 +58,13 @@ impl ResidualModel for Magnitude<'_> {
             let applied = at.pose(pose, &self.conditions);
             let all = at.derivatives(&applied);
             rows.residual[k] = applied.force.norm() - self.gravity_mps2;
-            for (i, slot) in self.free.iter().enumerate() {
-                rows.jacobian[(k, i)] = all[slot.index()];
+            for (i, index) in self.free.iter().enumerate() {
+                rows.jacobian[(k, i)] = all[*index];
             }
         }
         for (row, (i, root)) in (n..).zip(self.priors()) {
-            let slot = self.free[i].index();
-            rows.residual[row] = root * (theta[slot] - PERFECT[slot]);
+            let index = self.free[i];
+            rows.residual[row] = root * (theta[index] - PERFECT[index]);
             rows.jacobian[(row, i)] = root;
         }
         Some(rows)
@@ -72,8 +72,8 @@ impl ResidualModel for Magnitude<'_> {
 
     fn moved(&self, theta: &Theta, step: &DVector<f64>) -> Theta {
         let mut moved = *theta;
-        for (slot, step) in self.free.iter().zip(step) {
-            moved[slot.index()] += step;
+        for (index, step) in self.free.iter().zip(step) {
+            moved[*index] += step;
         }
         moved
     }
@@ -134,7 +134,7 @@ impl<'a> Magnitude<'a> {
         visits: &'a Visits,
         gravity_mps2: f64,
         conditions: Conditions,
-        free: Vec<Slot>,
+        free: Vec<usize>,
     ) -> Self {
         Self {
             poses,
@@ -150,8 +150,8 @@ impl<'a> Magnitude<'a> {
     }
 
     /// Gives the parameters that `has_prior` selects the prior of typical datasheets: equation (42a).
-    pub fn set_priors(&mut self, has_prior: impl Fn(&Slot) -> bool) {
-        let prior = |slot: &Slot| slot.usual_sd().filter(|_| has_prior(slot));
+    pub fn set_priors(&mut self, has_prior: impl Fn(usize) -> bool) {
+        let prior = |index: &usize| terms::usual_sd(*index).filter(|_| has_prior(*index));
         self.prior_sd = self.free.iter().map(prior).collect();
     }
 
@@ -285,7 +285,7 @@ impl<'a> Magnitude<'a> {
 
     /// The elements of the fitted parameters.
     pub fn fitted(&self, all: &Theta) -> DVector<f64> {
-        DVector::from_iterator(self.free.len(), self.free.iter().map(|slot| all[slot.index()]))
+        DVector::from_iterator(self.free.len(), self.free.iter().map(|index| all[*index]))
     }
 
     /// Residual of a pose that was left out, m/s², and the variance of its prediction relative to
@@ -442,7 +442,7 @@ impl<'a> Magnitude<'a> {
         }
         let Some(factor) = Scaled::new(&information, 0.0) else { return false };
         let inverse = factor.inverse();
-        let mut biases = (0..self.free.len()).filter(|i| self.free[*i].index() < 3);
+        let mut biases = (0..self.free.len()).filter(|i| self.free[*i] < 3);
         biases.all(|i| USUAL_MPS2 * libm::sqrt(inverse[(i, i)]) < LEAST_KNOWN * USUAL_BIAS_MPS2)
     }
 
@@ -459,7 +459,7 @@ impl<'a> Magnitude<'a> {
 
     /// Value of each parameter that causes an error of 1 m/s² at 1 g.
     fn units(&self) -> DVector<f64> {
-        let units = self.free.iter().map(|slot| slot.per_mps2(self.gravity_mps2));
+        let units = self.free.iter().map(|index| terms::per_mps2(*index, self.gravity_mps2));
         DVector::from_iterator(self.free.len(), units)
     }
 
@@ -474,7 +474,7 @@ impl<'a> Magnitude<'a> {
         for orientation in Orientation::ALL {
             let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
             let row = self.fitted(&at.derivatives(&at.at(force)));
-            let variance = least_squares::quadratic(inverse, &row);
+            let variance = row.dot(&(inverse * &row));
             // Opposite orientations are equal to rounding where the bias is determined alone.
             if variance > worst * (1.0 + 1e-12) {
                 (worst, poorest) = (variance, orientation);

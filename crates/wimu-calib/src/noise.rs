@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
 use crate::orientation::axis_name;
-use crate::{Reason, Refusal, input};
+use crate::{Reason, Refusal, UnitHint};
 
 /// Number of averaging times: 1, 2, 4, … samples.
 const POINTS: usize = 29;
@@ -342,7 +342,7 @@ impl AllanVariance {
         };
         let squares: f64 = (0..3).map(|axis| mean(axis) * mean(axis)).sum();
         let mean_mps2 = libm::sqrt(squares);
-        let hint = input::unit(mean_mps2, STANDARD_GRAVITY_MPS2);
+        let hint = UnitHint::of(mean_mps2, STANDARD_GRAVITY_MPS2);
         let moved = self.moved();
         // A rotated sensor has a short mean in any unit; in too large a unit noise looks like
         // motion.

@@ -1,5 +1,8 @@
 //! Orientations of a sensor, with instructions.
 
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
 use core::fmt;
 
 use crate::Pose;
@@ -88,13 +91,6 @@ impl Orientation {
         all
     };
 
-    /// Index in [`Orientation::ALL`], 0..26.
-    pub fn index(self) -> usize {
-        let [x, y, z] = self.0.map(|sign| (sign + 1) as usize);
-        let code = x + 3 * y + 9 * z;
-        if code > 13 { code - 1 } else { code }
-    }
-
     /// Upside down.
     #[must_use]
     pub fn opposite(self) -> Self {
@@ -107,13 +103,26 @@ impl Orientation {
     }
 
     /// Instruction in words, such as "stand it on the edge between +Y side and −X side".
-    pub fn instruction(self) -> Instruction<'static> {
+    pub fn instruction(self) -> String {
         self.instruction_with(&Face::SIDES)
     }
 
     /// Instruction with the names of the sides of a board that +X, −X, +Y, … point out of, such as "left edge".
-    pub fn instruction_with<'a>(self, sides: &'a [&'a str; 6]) -> Instruction<'a> {
-        Instruction { orientation: self, sides }
+    pub fn instruction_with(self, sides: &[&str; 6]) -> String {
+        // What is down: the side opposite to each axis with a vertical component.
+        let down = self.0.iter().enumerate().filter_map(|(axis, sign)| match sign {
+            0 => None,
+            1.. => sides.get(2 * axis + 1),
+            _ => sides.get(2 * axis),
+        });
+        match Vec::from_iter(down)[..] {
+            [side] => format!("lay it on its {side} (arrow {self})"),
+            [one, other] => format!("stand it on the edge between {one} and {other}"),
+            [one, other, third] => {
+                format!("stand it on the corner between {one}, {other} and {third}")
+            }
+            _ => String::new(),
+        }
     }
 
     /// The up direction, a unit vector in sensor axes.
@@ -153,34 +162,5 @@ impl fmt::Display for Orientation {
             3 => out.write_str(" (35° each)"),
             _ => Ok(()),
         }
-    }
-}
-
-/// How to bring a sensor into an orientation, in words.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Instruction<'a> {
-    orientation: Orientation,
-    sides: &'a [&'a str; 6],
-}
-
-impl fmt::Display for Instruction<'_> {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Orientation(signs), count) = (self.orientation, self.orientation.axes());
-        // What is down: the side opposite to each axis with a vertical component.
-        let down = signs.iter().enumerate().filter_map(|(axis, sign)| match sign {
-            0 => None,
-            1.. => self.sides.get(2 * axis + 1),
-            _ => self.sides.get(2 * axis),
-        });
-        for (index, side) in down.enumerate() {
-            match (index, count) {
-                (0, 1) => write!(out, "lay it on its {side} (arrow {})", self.orientation)?,
-                (0, 2) => write!(out, "stand it on the edge between {side}")?,
-                (0, _) => write!(out, "stand it on the corner between {side}")?,
-                (1, 3) => write!(out, ", {side}")?,
-                _ => write!(out, " and {side}")?,
-            }
-        }
-        Ok(())
     }
 }

@@ -1,11 +1,10 @@
 //! Quality record of an estimate, as stored on a device.
 
 use wimu_model::{
-    CalibratedTemperature, CalibrationMethod, CalibrationQuality, ModelCovariance, QualityTerms,
-    TermDeviations,
+    CalibratedTemperature, CalibrationQuality, ModelCovariance, QualityTerms, TermDeviations,
 };
 
-use crate::{Estimate, Method, Pose, input};
+use crate::{Estimate, Pose, input};
 
 impl Estimate {
     /// Quality record for a parameter set: estimated at `utc_s`, s since 1970 UTC, from `poses`,
@@ -20,13 +19,9 @@ impl Estimate {
             lowest_c: lowest.min(mean) as f32,
             highest_c: highest.max(mean) as f32,
         });
+        let [_, bias, scale, quadratic] = self.term_sd;
         CalibrationQuality::new(QualityTerms {
-            method: match self.method {
-                Method::SixPosition { .. } => CalibrationMethod::SixPosition,
-                Method::MultiPosition => CalibrationMethod::MultiPosition,
-                Method::FourAngle => CalibrationMethod::FourAngle,
-                Method::ThreeAngle => CalibrationMethod::ThreeAngle,
-            },
+            method: self.method,
             utc_s,
             temperature,
             poses: u32::try_from(self.poses).unwrap_or(u32::MAX),
@@ -36,10 +31,10 @@ impl Estimate {
             condition: Some(self.condition.max(1.0) as f32),
             covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,
             other_sd: TermDeviations {
-                bias_mps2_per_k: self.term_sd.bias_mps2_per_k.map(|sd| sd as f32),
+                bias_mps2_per_k: bias.map(|sd| sd as f32),
                 bias_mps2_per_k2: [0.0; 3],
-                scale_per_k: self.term_sd.scale_per_k.map(|sd| sd as f32),
-                nonlinearity: self.term_sd.nonlinearity.map(|sd| sd as f32),
+                scale_per_k: scale.map(|sd| sd as f32),
+                nonlinearity: quadratic.map(|sd| sd as f32),
             },
         })
         .ok()

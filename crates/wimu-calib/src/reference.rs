@@ -215,7 +215,7 @@ impl ReferenceTransfer {
             let squares: f64 = self.samples.iter().map(|pair| pair[side].norm_squared()).sum();
             let rms_mps2 = libm::sqrt(squares / have as f64);
             // Motion increases it by any factor that does not indicate another unit.
-            let hint = input::unit(rms_mps2, STANDARD_GRAVITY_MPS2);
+            let hint = UnitHint::of(rms_mps2, STANDARD_GRAVITY_MPS2);
             if let Some(hint) = hint.filter(|hint| *hint != UnitHint::NotGravity) {
                 return Err(Refusal::unit(name, rms_mps2, hint));
             }

@@ -168,11 +168,28 @@ pub enum UnitHint {
     NotGravity,
 }
 
+impl UnitHint {
+    /// The probable unit of a mean magnitude that cannot be gravity in m/s².
+    pub fn of(mean_mps2: f64, gravity_mps2: f64) -> Option<Self> {
+        // Bias and scale factor within the bounds of the error model change |y| by less than this.
+        if (0.4..=2.1).contains(&(mean_mps2 / gravity_mps2)) {
+            return None;
+        }
+        Some(match mean_mps2 {
+            m if (0.7..1.4).contains(&m) => Self::G,
+            m if (85.0..108.0).contains(&m) => Self::Mps2TakenForG,
+            m if (700.0..1400.0).contains(&m) => Self::MilliGOrCounts,
+            m if m > 100.0 && m < 1e6 => Self::Counts,
+            _ => Self::NotGravity,
+        })
+    }
+}
+
 /// The probable unit, and what to do.
 impl fmt::Display for UnitHint {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::G => "which looks like g, not m/s²: name the unit g (`--units g`)",
+            Self::G => "which looks like g, not m/s²: name it in the columns, `(g)`, or by `--units g`",
             Self::Mps2TakenForG => {
                 "which looks like m/s² converted as if it were g: `--units m/s2`; or the \
                  sensitivity is ten times too small"

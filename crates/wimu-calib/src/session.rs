@@ -1,5 +1,7 @@
 //! Live calibration: recommended orientations and captured poses.
 
+use alloc::vec::Vec;
+
 use crate::{Guide, Orientation, Pose, PoseFinder};
 
 /// Duration of a hold that is captured as a pose, s.
@@ -26,17 +28,17 @@ pub enum Phase {
     },
     /// The pose is captured: move the sensor to another orientation.
     WaitingForMotion,
-    /// Enough poses were captured, or there is no room for more.
+    /// Enough poses were captured.
     Done,
 }
 
 /// Captures the poses of a sensor that is turned by hand, and recommends orientations, until there
-/// are enough for a calibration; room for `POSES` of them.
+/// are enough for a calibration.
 ///
 /// ```
 /// use wimu_calib::{Gravity, MultiPosition, Phase, Session, multi_position};
 ///
-/// let mut session = Session::<16>::new(100.0, 12);
+/// let mut session = Session::new(100.0, 12);
 /// let mut noise = 0.01;
 /// while let Some(next) = session.next() {
 ///     // A person who follows the advice: half a second of motion, three of holding still.
@@ -56,39 +58,33 @@ pub enum Phase {
 /// # Ok::<(), wimu_calib::Refusal>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct Session<const POSES: usize> {
+pub struct Session {
     finder: PoseFinder,
     guide: Guide,
-    poses: heapless::Vec<Pose, POSES>,
+    poses: Vec<Pose>,
     wanted: usize,
     capture_samples: u32,
     /// Whether the current hold was captured.
     taken: bool,
     /// Whether the current hold is left out because its pose was removed.
     ignored: bool,
-    /// Unreachable orientations, a bit each by [`Orientation::index`].
-    unreachable: u32,
+    unreachable: Vec<Orientation>,
 }
 
-impl<const POSES: usize> Session<POSES> {
-    /// A session of samples at `rate_hz` for `wanted` poses, at most `POSES`.
+impl Session {
+    /// A session of samples at `rate_hz` for `wanted` poses.
     pub fn new(rate_hz: f64, wanted: usize) -> Self {
         Self {
             finder: PoseFinder::new(rate_hz),
             guide: Guide::default(),
-            poses: heapless::Vec::new(),
-            wanted: wanted.min(POSES),
+            poses: Vec::new(),
+            wanted,
             // NaN becomes 0.
             capture_samples: ((CAPTURE_S * rate_hz) as u32).max(1),
             taken: false,
             ignored: false,
-            unreachable: 0,
+            unreachable: Vec::new(),
         }
-    }
-
-    /// Sets the temperature of the following samples, °C.
-    pub fn set_temperature(&mut self, celsius: Option<f64>) {
-        self.finder.set_temperature(celsius);
     }
 
     /// Takes one sample y, m/s², sensor axes.
@@ -144,11 +140,6 @@ impl<const POSES: usize> Session<POSES> {
         self.ignored
     }
 
-    /// The current hold; `None` in motion.
-    pub fn held(&self) -> Option<Pose> {
-        self.finder.held()
-    }
-
     /// Number of samples of a hold at which it is captured.
     pub fn capture_samples(&self) -> u32 {
         self.capture_samples
@@ -169,7 +160,7 @@ impl<const POSES: usize> Session<POSES> {
     fn take(&mut self, hold: Pose) -> usize {
         let pose = self.poses.len();
         self.taken = true;
-        let _ = self.poses.push(hold);
+        self.poses.push(hold);
         self.guide.take(hold.mean_mps2);
         pose
     }
@@ -178,20 +169,17 @@ impl<const POSES: usize> Session<POSES> {
     /// enough poses, or none that can be reached adds information. Costs 0.5 million operations.
     pub fn next(&self) -> Option<Orientation> {
         let remaining = self.wanted.checked_sub(self.poses.len()).filter(|n| *n > 0)?;
-        let reachable = |o: Orientation| self.unreachable >> o.index() & 1 == 0;
-        self.guide.next_of(remaining, reachable)
+        self.guide.next_of(remaining, |orientation| !self.unreachable.contains(&orientation))
     }
 
-    /// Sets the number of poses to capture, at most `POSES`.
+    /// Sets the number of poses to capture.
     pub fn want(&mut self, wanted: usize) {
-        self.wanted = wanted.min(POSES);
+        self.wanted = wanted;
     }
 
     /// Excludes the recommended orientation: it cannot be reached.
     pub fn skip(&mut self) {
-        if let Some(next) = self.next() {
-            self.unreachable |= 1 << next.index();
-        }
+        self.unreachable.extend(self.next());
     }
 
     /// The poses captured so far.

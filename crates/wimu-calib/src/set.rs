@@ -32,18 +32,6 @@ macro_rules! set {
                 items.into_iter().fold(Self(0), Self::with)
             }
         }
-
-        impl core::fmt::Display for $set {
-            fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-                for (k, item) in self.iter().enumerate() {
-                    if k > 0 {
-                        out.write_str(", ")?;
-                    }
-                    item.fmt(out)?;
-                }
-                Ok(())
-            }
-        }
     };
 }
 

@@ -3,15 +3,15 @@
 use alloc::format;
 use alloc::vec::Vec;
 
-use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms};
 
 use crate::estimate::Residuals;
 use crate::placement::MOST_PLACEMENT_RAD;
 use crate::pose::mean_temperature;
 use crate::terms;
 use crate::{
-    Covariance, Estimate, Face, Gravity, Method, Parameter, Placement, Pose, Reason, Refusal,
-    force, input, student,
+    Covariance, Estimate, Face, Gravity, Parameter, Placement, Pose, Reason, Refusal, Sides, force,
+    input, student,
 };
 
 /// Degrees of freedom of the placement error that six sides show.
@@ -31,48 +31,36 @@ const REVISIT_DOF: f64 = 2.0;
 /// error enters in second order. Misalignments depend on the other pairs, where it enters in first
 /// order.
 ///
-/// Swapped or negated axes are not detected here; [`six_position_labelled`] detects them.
+/// `sides` is the record of which side was up in each pose, if there is one: without it, swapped or negated axes are not
+/// detected.
 ///
 /// # Errors
-/// [`Refusal`] when the poses do not determine the model. Its text says what to do.
+/// [`Refusal`] when the poses do not determine the model, or contradict the recorded sides. Its text says what to do.
 pub fn six_position(
     poses: &[Pose],
+    sides: Option<&[Face]>,
     gravity: Gravity,
     placement: Placement,
 ) -> Result<Estimate, Refusal> {
     input::check(poses.iter(), gravity)?;
-    let all = poses.iter().map(|pose| (Face::of(pose), pose));
-    estimate(all, gravity, placement)
-}
-
-/// [`six_position`] for poses with a record of which side was up.
-///
-/// # Errors
-/// [`Refusal`], also when the readings of a pose contradict the recorded side.
-pub fn six_position_labelled(
-    poses: &[(Face, Pose)],
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    input::check(poses.iter().map(|(_, pose)| pose), gravity)?;
-    check_labels(poses)?;
-    let all = poses.iter().map(|(face, pose)| (Some(*face), pose));
-    estimate(all, gravity, placement)
+    check_labels(poses, sides.unwrap_or_default())?;
+    estimate(poses, gravity, placement)
 }
 
 /// Refuses recorded sides that contradict the readings.
-fn check_labels(poses: &[(Face, Pose)]) -> Result<(), Refusal> {
-    let mut wrong = (0..).zip(poses).filter(|(_, (face, pose))| Face::of(pose) != Some(*face));
-    let Some((index, (face, pose))) = wrong.next() else { return Ok(()) };
-    let Some(reads) = Face::of(pose) else {
+fn check_labels(poses: &[Pose], sides: &[Face]) -> Result<(), Refusal> {
+    let read = || sides.iter().zip(poses.iter().map(Face::of));
+    let mut wrong = (0..).zip(read()).filter(|(_, (face, reads))| *reads != Some(**face));
+    let Some((index, (face, reads))) = wrong.next() else { return Ok(()) };
+    let Some(reads) = reads else {
         let text =
             format!("a pose recorded as {face} has no axis within 20° of the vertical: repeat it");
         return Err(Refusal::new(Reason::Placement { index, steps: 6 }, text));
     };
-    let is_negated = |(face, pose): &(Face, Pose)| {
-        Face::of(pose).is_some_and(|reads| reads.axis() == face.axis() && reads != *face)
+    let is_negated = |(face, reads): (&Face, Option<Face>)| {
+        reads.is_some_and(|reads| reads.axis() == face.axis() && reads != *face)
     };
-    let text = if poses.iter().all(is_negated) {
+    let text = if read().all(is_negated) {
         "every axis recorded as up reads down: the output is minus the specific force; negate it, or record the opposite \
          side"
             .into()
@@ -119,12 +107,8 @@ fn solve(used: &[Used<'_>], start: &Pose) -> ([f64; 3], Matrix) {
     ([0, 1, 2].map(|axis: usize| bias[axis] + start.mean_mps2[axis]), a)
 }
 
-fn estimate<'a>(
-    poses: impl Iterator<Item = (Option<Face>, &'a Pose)> + Clone,
-    gravity: Gravity,
-    placement: Placement,
-) -> Result<Estimate, Refusal> {
-    let placed: Vec<_> = poses.clone().filter_map(|(face, pose)| Some((face?, pose))).collect();
+fn estimate(poses: &[Pose], gravity: Gravity, placement: Placement) -> Result<Estimate, Refusal> {
+    let placed: Vec<_> = poses.iter().filter_map(|pose| Some((Face::of(pose)?, pose))).collect();
     let g = gravity.mps2();
     let missing =
         Face::ALL.into_iter().filter(|face| placed.iter().all(|(placed, _)| placed != face));
@@ -162,11 +146,9 @@ fn estimate<'a>(
     let worst_sd_mps2 = force::worst_sd(&theta, &covariance, g);
     covariance.add_gravity(&theta, gravity);
 
-    let all = poses.clone().map(|(_, pose)| pose);
-    let residuals = Residuals::of(&theta, all, g);
-    let rejected =
-        (0..).zip(poses).filter(|(_, (face, _))| face.is_none()).map(|(k, _)| k).collect();
-    let method = Method::SixPosition {
+    let residuals = Residuals::of(force::residuals(&theta, poses, g));
+    let rejected = (0..poses.len()).filter(|k| Face::of(&poses[*k]).is_none()).collect();
+    let sides = Sides {
         placement_sd_rad,
         declared_sd_rad: placement.sd_rad(),
         revisit_sd_mps2: libm::sqrt(revisit),
@@ -181,7 +163,8 @@ fn estimate<'a>(
         rejected,
         worst_sd_mps2,
         temperature_c: mean_temperature(placed.iter().map(|(_, pose)| *pose)),
-        ..Estimate::orthogonal(model, method, gravity, &residuals)
+        sides: Some(sides),
+        ..Estimate::orthogonal(model, CalibrationMethod::SixPosition, gravity, &residuals)
     })
 }
 

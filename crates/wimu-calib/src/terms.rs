@@ -8,69 +8,42 @@ use crate::Parameter;
 
 /// All parameters of a fit: the 12 of [`Parameter::ALL`], then three each of the drift of the bias
 /// (m/s² from the first pose to the last), b₁, s₁ and q.
-pub(crate) type Theta = [f64; Slot::COUNT];
+pub(crate) type Theta = [f64; COUNT];
+pub(crate) const COUNT: usize = 24;
 
-/// An index into [`Theta`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Slot(usize);
+/// The parameter at an index of [`Theta`], for the first twelve.
+pub(crate) fn parameter(index: usize) -> Option<Parameter> {
+    Parameter::ALL.get(index).copied()
+}
 
-impl Slot {
-    pub const COUNT: usize = 24;
+/// The term that an index of [`Theta`] belongs to, for the others.
+pub(crate) fn term(index: usize) -> Option<Term> {
+    Term::ALL.get(index.checked_sub(12)? / 3).copied()
+}
 
-    pub const ALL: [Self; Self::COUNT] = {
-        let mut all = [Self(0); Self::COUNT];
-        let mut i = 0;
-        while i < Self::COUNT {
-            all[i] = Self(i);
-            i += 1;
-        }
-        all
-    };
-    pub const SCALE_SLOPE: [Self; 3] = [Self(18), Self(19), Self(20)];
-
-    pub const fn of(parameter: Parameter) -> Self {
-        Self(parameter.index())
+/// Prior standard deviation about a perfect sensor, from typical datasheets, at an index of [`Theta`]; `None` for the bias,
+/// which has a flat prior.
+pub(crate) fn usual_sd(index: usize) -> Option<f64> {
+    match index {
+        0..3 => None,
+        3 | 7 | 11 => Some(USUAL_SCALE),
+        3..12 => Some(USUAL_ACROSS),
+        // 2 mg over a session, ½ mg/K, 0.02 %/K, 1 mg at 1 g.
+        12..15 => Some(0.02),
+        15..18 => Some(0.005),
+        18..21 => Some(2e-4),
+        _ => Some(1e-4),
     }
+}
 
-    pub fn index(self) -> usize {
-        self.0
-    }
-
-    /// The parameter, for the first twelve.
-    pub fn parameter(self) -> Option<Parameter> {
-        Parameter::ALL.get(self.0).copied()
-    }
-
-    /// The term that it belongs to, for the others.
-    pub fn term(self) -> Option<Term> {
-        Term::ALL.get(self.0.checked_sub(12)? / 3).copied()
-    }
-
-    /// Prior standard deviation about a perfect sensor, from typical datasheets; `None` for the
-    /// bias, which has a flat prior.
-    pub fn usual_sd(self) -> Option<f64> {
-        match self.0 {
-            0..3 => None,
-            3 | 7 | 11 => Some(USUAL_SCALE),
-            3..12 => Some(USUAL_ACROSS),
-            // 2 mg over a session, ½ mg/K, 0.02 %/K, 1 mg at 1 g.
-            12..15 => Some(0.02),
-            15..18 => Some(0.005),
-            18..21 => Some(2e-4),
-            _ => Some(1e-4),
-        }
-    }
-
-    /// Value that causes an error of 1 m/s² at 1 g (for temperature terms, 10 K from the
-    /// reference).
-    pub fn per_mps2(self, gravity_mps2: f64) -> f64 {
-        match self.0 {
-            0..3 | 12..15 => 1.0,
-            3..12 => 1.0 / gravity_mps2,
-            15..18 => 0.1,
-            18..21 => 0.1 / gravity_mps2,
-            _ => 1.0 / (gravity_mps2 * gravity_mps2),
-        }
+/// Value at an index of [`Theta`] that causes an error of 1 m/s² at 1 g (for temperature terms, 10 K from the reference).
+pub(crate) fn per_mps2(index: usize, gravity_mps2: f64) -> f64 {
+    match index {
+        0..3 | 12..15 => 1.0,
+        3..12 => 1.0 / gravity_mps2,
+        15..18 => 0.1,
+        18..21 => 0.1 / gravity_mps2,
+        _ => 1.0 / (gravity_mps2 * gravity_mps2),
     }
 }
 
@@ -82,7 +55,7 @@ pub(crate) const USUAL_ACROSS: f64 = 0.02;
 
 /// A perfect sensor.
 pub(crate) const PERFECT: Theta = {
-    let mut theta = [0.0; Slot::COUNT];
+    let mut theta = [0.0; COUNT];
     theta[3] = 1.0;
     theta[7] = 1.0;
     theta[11] = 1.0;

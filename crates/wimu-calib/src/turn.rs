@@ -4,14 +4,14 @@ use alloc::format;
 use alloc::vec::Vec;
 use core::f64::consts::{PI, TAU};
 
-use wimu_model::{ErrorModel, ErrorTerms};
+use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms};
 
 use crate::estimate::Residuals;
 use crate::terms::{self, PERFECT, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::{
-    Covariance, Estimate, Gravity, Method, Parameter, Parameters, Placement, Pose, Reason, Refusal,
-    force, input, pose, student,
+    Covariance, Estimate, Gravity, Parameter, Parameters, Placement, Pose, Reason, Refusal, force,
+    input, pose, student,
 };
 
 /// Component of an axis along another one, 1 σ: the cross-axis sensitivity of typical datasheets.
@@ -213,8 +213,11 @@ fn turns(
         .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
     covariance.add_gravity(&theta, gravity);
     covariance.take_for_granted(Parameters::ALL.without(fitted));
-    let residuals = Residuals::of(&terms::theta_of(&model), poses.iter(), g);
-    let method = if steps == 4 { Method::FourAngle } else { Method::ThreeAngle };
+    let residuals = Residuals::of(force::residuals(&terms::theta_of(&model), poses, g));
+    let method = match steps {
+        4 => CalibrationMethod::FourAngle,
+        _ => CalibrationMethod::ThreeAngle,
+    };
     Ok(Estimate {
         fitted,
         worst_sd_mps2: force::worst_sd(&PERFECT, &covariance, g),

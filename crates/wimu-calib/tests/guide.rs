@@ -17,5 +17,5 @@ fn advice_ends_when_more_poses_change_little_and_leaves_out_what_cannot_be_reach
     assert!(guide.next(|_| false).is_none() && guide.worth(|_| false) == 0);
     guide.take([f64::NAN; 3]);
     guide.take([0.0; 3]);
-    assert!(guide.amplification().is_finite());
+    assert!(guide.worth(upright) <= 3);
 }

@@ -104,16 +104,13 @@ fn gyroscopes_of_eight_mpu9150_predict_gravity_better_than_before() {
         let accelerometer = AccelerometerCalibration::from(&fitted);
         let all = estimate(&samples, &poses, &accelerometer, full_scale);
         println!(
-            "chip {chip}: {} rests, {} turns, {:.2}° before, {:.3}° after; scale {:.4?} ± {:.4}; bias walk {:.1e}, \
-             turn error {:.1e}; left out {:?}; {}",
+            "chip {chip}: {} rests, {} turns, {:.2}° before, {:.3}° after; scale {:.4?} ± {:.4}; left out {:?}; {}",
             poses.len(),
             all.turns,
             all.before_rad / DEGREE,
             all.rms_rad / DEGREE,
             [0, 1, 2].map(|i| all.model.terms().matrix[i][i]),
             all.sd(3),
-            all.bias_walk_rad_s_rts,
-            all.turn_error,
             all.left_out,
             all.advice().unwrap_or_default(),
         );

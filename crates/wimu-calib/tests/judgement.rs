@@ -101,7 +101,8 @@ proptest! {
                 Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),
             }
         }
-        for method in [four_angle, three_angle, six_position] {
+        let six: fn(&[Pose], wimu_calib::Gravity, Placement) -> _ = |p, g, sd| six_position(p, None, g, sd);
+        for method in [four_angle, three_angle, six] {
             match method(&poses, exact(), Placement::BY_HAND) {
                 Ok(estimate) => prop_assert!(estimate.rms_mps2.is_finite()),
                 Err(refusal) => prop_assert!(!refusal.to_string().is_empty()),

@@ -240,5 +240,5 @@ fn what_the_poses_do_not_determine_is_as_uncertain_as_datasheets_have_it() {
     assert!(!six.assumed.is_empty());
     let (_, poses) = session(&mut random, Kind { poses: 24, ..KIND });
     let many = multi_position(&poses, exact(), AUTO).expect("an answer");
-    assert!(many.assumed.is_empty(), "{}", many.assumed);
+    assert!(many.assumed.is_empty(), "{:?}", many.assumed);
 }

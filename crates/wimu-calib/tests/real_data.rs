@@ -202,8 +202,7 @@ fn variance([estimate, reversed]: [&Estimate; 2], pose: &Pose) -> f64 {
     };
     let drift = estimate.drift.expect("the poses have times");
     let early = (drift.end_s - pose.time_s) / drift.span_s;
-    let of_drift: f64 =
-        (0..3).map(|axis| (up[axis] * estimate.term_sd.drift_mps2[axis]).powi(2)).sum();
+    let of_drift: f64 = (0..3).map(|axis| (up[axis] * estimate.term_sd[0][axis]).powi(2)).sum();
     let of_fit = (1.0 - early) * at_end(estimate) + early * at_end(reversed)
         - early * (1.0 - early) * of_drift;
     estimate.pose_sd_mps2.powi(2) + of_fit

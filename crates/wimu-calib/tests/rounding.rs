@@ -54,7 +54,7 @@ fn intervals_hold_where_counts_are_coarser_than_the_noise() {
             let exact = Placement::new(1e-6).expect("a placement");
             let estimates = [
                 (model, multi_position(&poses, gravity, NINE)),
-                (full, six_position(&sides, gravity, exact)),
+                (full, six_position(&sides, None, gravity, exact)),
             ];
             for (method, (truth, estimate)) in estimates.into_iter().enumerate() {
                 refused.count(estimate.is_err());

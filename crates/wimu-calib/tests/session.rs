@@ -16,9 +16,9 @@ struct Hand<'a> {
 
 impl Hand<'_> {
     /// Samples of a turn to `up`, then of holding still.
-    fn turn<const N: usize>(
+    fn turn(
         &mut self,
-        session: &mut Session<N>,
+        session: &mut Session,
         up: [f64; 3],
         turning: usize,
         holding: usize,
@@ -51,7 +51,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
     {
         let mut random = Random::new(seed as u64);
         let truth = random.model(true);
-        let mut session = Session::<16>::new(rate, 12);
+        let mut session = Session::new(rate, 12);
         let mut hand = Hand { random, truth: &truth, noise, up: [0.0, 0.0, 1.0] };
         let mut captured = 0;
         while let Some(next) = session.next() {
@@ -85,7 +85,7 @@ fn following_the_advice_gives_a_calibration_at_any_rate_and_noise() {
 #[test]
 fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     let truth = ErrorModel::default();
-    let mut session = Session::<8>::new(100.0, 20);
+    let mut session = Session::new(100.0, 8);
     let first = session.next().expect("advice");
     session.skip();
     let second = session.next().expect("other advice");
@@ -102,20 +102,20 @@ fn what_cannot_be_reached_is_skipped_and_a_pose_is_not_taken_twice() {
     for orientation in Orientation::ALL {
         hand.turn(&mut session, orientation.up(), 50, 300);
     }
-    // No more than there is room for.
+    // No more than are wanted.
     assert_eq!((session.poses().len(), session.next()), (8, None));
     for _ in 0..26 {
         session.skip();
     }
     assert_eq!(session.push([f64::NAN; 3]), Phase::Done);
-    let mut none = Session::<0>::new(f64::NAN, 3);
+    let mut none = Session::new(f64::NAN, 0);
     assert_eq!(none.push([0.0, 0.0, G]), Phase::Done);
 }
 
 #[test]
 fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
     let truth = ErrorModel::default();
-    let mut session = Session::<16>::new(100.0, 12);
+    let mut session = Session::new(100.0, 12);
     assert_eq!(session.undo(), None);
     let mut hand = Hand { random: Random::new(7), truth: &truth, noise: 0.01, up: [0.0, 0.0, 1.0] };
     for _ in 0..3 {
@@ -151,10 +151,10 @@ fn a_removed_pose_is_advised_again_and_its_hold_is_left_out() {
 
 #[test]
 fn a_person_may_take_a_pose_before_it_is_long_enough_by_itself_but_none_twice() {
-    let mut session = Session::<8>::new(100.0, 4);
+    let mut session = Session::new(100.0, 4);
     assert_eq!(session.capture(), None, "nothing is held yet");
     let mut noise = 0.01;
-    let mut hold = |session: &mut Session<8>, up: [f64; 3], samples: u32| {
+    let mut hold = |session: &mut Session, up: [f64; 3], samples: u32| {
         let mut last = Phase::WaitingForRest;
         for k in 0..50 + samples {
             noise = -noise;

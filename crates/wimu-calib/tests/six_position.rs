@@ -4,10 +4,7 @@ use crate::common;
 
 use common::{DrawModel as _, G, Random, exact, misplaced, parameters, pose};
 use proptest::prelude::*;
-use wimu_calib::{
-    Face, Method, Orientation, Placement, Pose, Reason, Refusal, six_position,
-    six_position_labelled,
-};
+use wimu_calib::{Estimate, Face, Orientation, Placement, Pose, Reason, Refusal, six_position};
 use wimu_model::ErrorModel;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -24,6 +21,11 @@ fn unlabelled(poses: &[(Face, Pose)]) -> Vec<Pose> {
     poses.iter().map(|(_, pose)| *pose).collect()
 }
 
+fn labelled(poses: &[(Face, Pose)]) -> Result<Estimate, Refusal> {
+    let sides: Vec<Face> = poses.iter().map(|(face, _)| *face).collect();
+    six_position(&unlabelled(poses), Some(&sides), exact(), squared())
+}
+
 proptest! {
     #![proptest_config(common::config())]
 
@@ -33,8 +35,8 @@ proptest! {
         let mut poses = six(&truth);
         poses.rotate_left(turn);
         for estimate in [
-            six_position(&unlabelled(&poses), exact(), squared()).expect("an answer"),
-            six_position_labelled(&poses, exact(), squared()).expect("an answer"),
+            six_position(&unlabelled(&poses), None, exact(), squared()).expect("an answer"),
+            labelled(&poses).expect("an answer"),
         ] {
             for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
                 prop_assert!((found - truth).abs() < 1e-9, "{found} {truth}");
@@ -58,7 +60,7 @@ fn poses_of_one_side_are_averaged_by_their_samples() {
     heavy.samples = 300;
     poses[0] = light;
     poses.push(heavy);
-    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    let estimate = six_position(&poses, None, exact(), squared()).expect("an answer");
     for (found, truth) in parameters(&estimate.model).iter().zip(parameters(&truth)) {
         assert!((found - truth).abs() < 1e-9);
     }
@@ -76,11 +78,9 @@ fn a_worse_placement_than_declared_is_seen() {
             pose(&truth, G, up)
         })
         .collect();
-    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
-    let Method::SixPosition { placement_sd_rad, .. } = estimate.method else {
-        panic!("six-position");
-    };
-    assert!((1.5..5.0).contains(&(placement_sd_rad / DEGREE)));
+    let estimate = six_position(&poses, None, exact(), squared()).expect("an answer");
+    let placed = estimate.sides.expect("sides");
+    assert!((1.5..5.0).contains(&(placed.placement_sd_rad / DEGREE)));
     assert!(estimate.sd().matrix[0][1] > 0.015);
 }
 
@@ -90,12 +90,12 @@ fn a_missing_side_is_named() {
     for missing in 0..6 {
         let mut poses = unlabelled(&six(&truth));
         poses.remove(missing);
-        let refused = six_position(&poses, exact(), squared());
+        let refused = six_position(&poses, None, exact(), squared());
         let refusal = refused.expect_err("a side is missing");
         assert_eq!(refusal.reason, Reason::TooFew { have: 5, need: 6 });
         assert!(refusal.text.contains(&format!("no pose has {}", Face::ALL[missing])), "{refusal}");
     }
-    let refused = six_position(&[], exact(), squared());
+    let refused = six_position(&[], None, exact(), squared());
     assert!(matches!(refused, Err(Refusal { reason: Reason::TooFew { have: 0, need: 6 }, .. })));
 }
 
@@ -105,7 +105,7 @@ fn a_tilted_pose_is_left_out_of_the_fit_and_not_of_its_residuals() {
     let mut poses = unlabelled(&six(&truth));
     poses.push(pose(&truth, G, [0.6, 0.8, 0.0]));
     poses[6].mean_mps2[0] += 0.1;
-    let estimate = six_position(&poses, exact(), squared()).expect("an answer");
+    let estimate = six_position(&poses, None, exact(), squared()).expect("an answer");
     assert_eq!((estimate.poses, estimate.worst_pose), (6, 6));
     assert!((0.05..0.07).contains(&estimate.max_mps2));
 }
@@ -117,7 +117,7 @@ fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
     let relabelled = |change: fn([f64; 3]) -> [f64; 3]| -> Result<_, Refusal> {
         let poses: Vec<(Face, Pose)> =
             good.iter().map(|&(face, p)| (face, Pose::from_mean(change(p.mean_mps2)))).collect();
-        six_position_labelled(&poses, exact(), squared())
+        labelled(&poses)
     };
     assert!(relabelled(|y| y).is_ok());
     assert!(matches!(
@@ -134,12 +134,12 @@ fn labels_that_do_not_go_with_the_sensor_are_told_apart() {
 
     let mut swapped = good.clone();
     swapped[0].0 = Face::YDown;
-    let refused = six_position_labelled(&swapped, exact(), squared());
+    let refused = labelled(&swapped);
     assert!(matches!(refused, Err(Refusal { reason: Reason::Axes, .. })));
 
     let mut tilted = good.clone();
     tilted[2].1 = pose(&truth, G, [0.0, 0.8, 0.6]);
-    let refused = six_position_labelled(&tilted, exact(), squared());
+    let refused = labelled(&tilted);
     assert!(matches!(refused, Err(Refusal { reason: Reason::Placement { .. }, .. })));
 }
 
@@ -155,7 +155,7 @@ fn sides_that_are_not_square_are_refused() {
             pose(&truth, G, common::unit(up))
         })
         .collect();
-    let refused = six_position(&poses, exact(), squared());
+    let refused = six_position(&poses, None, exact(), squared());
     assert!(
         matches!(refused, Err(Refusal { reason: Reason::Placement { .. }, .. })),
         "{refused:?}"

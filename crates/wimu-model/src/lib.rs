@@ -13,7 +13,6 @@ mod covariance;
 mod error;
 mod error_model;
 pub mod fixed;
-pub mod geometry;
 mod gyroscope;
 mod kernel;
 mod magnetometer;

@@ -6,12 +6,13 @@ use crate::ModelCovariance;
 use crate::error::{Bounds, ModelError};
 
 /// How an error model was estimated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CalibrationMethod {
     /// From the magnitude of gravity in any orientations.
+    #[default]
     MultiPosition,
     /// From six known orientations.
     SixPosition,

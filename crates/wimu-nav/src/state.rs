@@ -43,7 +43,7 @@ impl<const W: usize> Block<W> {
 /// Attitude error, rad, navigation frame.
 pub const ATTITUDE: Block<3> = Block(0);
 /// Its part about the vertical.
-pub(crate) const HEADING: Block<1> = ATTITUDE.part::<1, 2>();
+pub const HEADING: Block<1> = ATTITUDE.part::<1, 2>();
 /// Velocity, m/s, navigation frame.
 pub const VELOCITY: Block<3> = Block(3);
 /// Position, m, navigation frame.

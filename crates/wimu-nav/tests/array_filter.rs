@@ -2,11 +2,9 @@
 
 use crate::common;
 
-use common::{Random, dot, minus, norm, outputs};
+use common::{Random, dot, minus, noisy, norm, outputs};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use wimu_nav::array::{
-    ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Geometry, GeometryError, Triad,
-};
+use wimu_nav::array::{ArrayConfig, ArrayFault, ArrayFilter, ArrayState, Geometry, GeometryError};
 use wimu_nav::navigator::Rests;
 use wimu_testkit::{Coverage, assert_median_can_be, coverage_figure, draws, figure};
 
@@ -15,8 +13,8 @@ const DT: f64 = 0.01;
 const NOISE: f64 = 0.02;
 const BIAS: f64 = 0.02;
 
-fn board() -> Geometry<24> {
-    Geometry::eight_triads_board(0.02, 0.005, NOISE).unwrap()
+fn board() -> Geometry {
+    common::board(0.005, NOISE)
 }
 
 fn config(zupt: bool) -> ArrayConfig {
@@ -98,11 +96,11 @@ impl Body {
         }
     }
 
-    fn outputs(&self, geometry: &Geometry<24>, random: &mut Random, bias: &[f64; 24]) -> [f64; 24] {
+    fn outputs(&self, geometry: &Geometry, random: &mut Random, bias: &[f64; 24]) -> Vec<f64> {
         let acceleration = Vector3::from(self.three(0, 2)) + Vector3::z() * G;
         let force = self.attitude.inverse() * acceleration;
         let clean = outputs(geometry, self.rate(), self.three(3, 1), force.into());
-        std::array::from_fn(|i| clean[i] + bias[i] + NOISE * random.normal())
+        clean.iter().zip(bias).map(|(y, bias)| y + bias + NOISE * random.normal()).collect()
     }
 }
 
@@ -118,7 +116,7 @@ fn run(seed: u64) -> [f64; 5] {
     let mut body = Body::new(&mut random, 0.04, 2.0);
     let geometry = board();
     let bias: [f64; 24] = std::array::from_fn(|_| BIAS * random.normal());
-    let mut filter = ArrayFilter::<24>::new(geometry, config(true)).unwrap();
+    let mut filter = ArrayFilter::new(geometry.clone(), config(true)).unwrap();
     // Heading and the level it was aligned with: the navigation axes begin as the filter says.
     let mut turn = Rotation3::identity();
     let mut origin = [0.0; 3];
@@ -204,10 +202,10 @@ fn errors_lie_within_the_covariance_of_every_part() {
 }
 
 /// Pushes `count` samples of a body that does not move.
-fn hold(filter: &mut ArrayFilter<24>, random: &mut Random, count: usize) {
+fn hold(filter: &mut ArrayFilter, random: &mut Random, count: usize) {
     let still = outputs(&board(), [0.0; 3], [0.0; 3], [0.0, 0.0, G]);
     for _ in 0..count {
-        let y = still.map(|v| v + NOISE * random.normal());
+        let y = noisy(&still, NOISE, random);
         filter.push(DT, &y).unwrap();
     }
 }
@@ -219,7 +217,7 @@ fn rate_sd(state: &ArrayState) -> f64 {
 #[test]
 fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
     let mut random = Random::new(3);
-    let mut filter = ArrayFilter::<24>::new(board(), config(false)).unwrap();
+    let mut filter = ArrayFilter::new(board(), config(false)).unwrap();
     hold(&mut filter, &mut random, 100);
     let early = rate_sd(&filter.state());
     assert!(early < 0.1, "the rest at the start is part of the alignment: {early}");
@@ -235,7 +233,7 @@ fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
         let x = (f64::from(k) / 50.0).min(1.0);
         let turn = if x < 1.0 { 20.0 } else { 0.0 };
         let y = outputs(&board(), [10.0 * x, 0.0, 0.0], [turn, 0.0, 0.0], [0.0, 0.0, G]);
-        let y = y.map(|v| v + NOISE * random.normal());
+        let y = noisy(&y, NOISE, &mut random);
         filter.push(DT, &y).unwrap();
     }
     let state = filter.state();
@@ -247,11 +245,11 @@ fn without_rests_the_rate_is_hardly_known_and_a_rotation_shows_it() {
 #[test]
 fn a_start_in_a_turn_is_ambiguous_until_the_turn_changes() {
     let mut random = Random::new(5);
-    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
+    let mut filter = ArrayFilter::new(board(), config(true)).unwrap();
     let rate = [6.0, -3.0, 4.0];
-    let mut push = |filter: &mut ArrayFilter<24>, rate: [f64; 3], turn: [f64; 3]| {
+    let mut push = |filter: &mut ArrayFilter, rate: [f64; 3], turn: [f64; 3]| {
         let y = outputs(&board(), rate, turn, [1.0, 2.0, G]);
-        let y = y.map(|v| v + NOISE * random.normal());
+        let y = noisy(&y, NOISE, &mut random);
         filter.push(DT, &y).unwrap();
     };
     // ω̇ = 0: nothing tells ω from −ω.
@@ -283,15 +281,14 @@ fn a_start_in_a_turn_is_ambiguous_until_the_turn_changes() {
 #[test]
 fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
     let places = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
-    let triads = places.map(|[x, y]| Triad::aligned([x * 0.02, y * 0.02, 0.0], NOISE));
-    let flat = Geometry::<12>::from_triads(&triads).unwrap();
-    let mut filter = ArrayFilter::<12>::new(flat, config(true)).unwrap();
+    let flat = common::triads(&places.map(|[x, y]| [x, y, 0.0]), 0.02, NOISE);
+    let mut filter = ArrayFilter::new(flat.clone(), config(true)).unwrap();
     let mut random = Random::new(7);
     let rate = [6.0, -3.0, 5.0];
     let mut most = 0;
     for _ in 0..120 {
         let y = outputs(&flat, rate, [0.0; 3], [1.0, 2.0, G]);
-        filter.push(DT, &y.map(|v| v + NOISE * random.normal())).unwrap();
+        filter.push(DT, &noisy(&y, NOISE, &mut random)).unwrap();
         most = most.max(filter.hypotheses().count());
     }
     // The mirror images would have another angular acceleration than their rates show.
@@ -306,7 +303,7 @@ fn of_the_four_roots_of_a_planar_array_time_leaves_two() {
 #[test]
 fn bad_input_is_said_and_survived() {
     let mut random = Random::new(13);
-    let mut filter = ArrayFilter::<24>::new(board(), config(true)).unwrap();
+    let mut filter = ArrayFilter::new(board(), config(true)).unwrap();
     hold(&mut filter, &mut random, 100);
     assert!(filter.state().valid && filter.state().resting);
     let still = outputs(&board(), [0.0; 3], [0.0; 3], [0.0, 0.0, G]);
@@ -314,7 +311,7 @@ fn bad_input_is_said_and_survived() {
         assert_eq!(filter.push(step, &still), Err(ArrayFault::NoTime), "{step}");
     }
     // Two sensors that fail are left out, and said.
-    let mut y = still;
+    let mut y = still.clone();
     y[4] = f64::INFINITY;
     y[9] = f64::NAN;
     assert_eq!(filter.push(DT, &y), Ok(1 << 1 | 1 << 3));
@@ -323,7 +320,7 @@ fn bad_input_is_said_and_survived() {
     for k in 0..50 {
         let x = f64::from(k + 1) / 50.0;
         let mut y = outputs(&board(), [10.0 * x, 0.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.0, G]);
-        y = y.map(|v| v + NOISE * random.normal());
+        y = noisy(&y, NOISE, &mut random);
         y[9] = f64::NAN;
         turned.push(DT, &y).unwrap();
     }
@@ -349,7 +346,7 @@ fn bad_input_is_said_and_survived() {
 fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
     let mut random = Random::new(21);
     let settings = ArrayConfig { rests: Rests::ConstantVelocity, ..config(true) };
-    let mut filter = ArrayFilter::<24>::new(board(), settings).unwrap();
+    let mut filter = ArrayFilter::new(board(), settings).unwrap();
     hold(&mut filter, &mut random, 150);
     let start = filter.state().position_m;
     // To 2 m/s within half a second, and on for one.
@@ -359,7 +356,7 @@ fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
         let clean = outputs(&board(), [0.0; 3], [0.0; 3], [force, 0.0, G]);
         let speed = 2.0 * (f64::from(k) / 50.0).min(1.0);
         path += speed * DT;
-        filter.push(DT, &clean.map(|v| v + NOISE * random.normal())).unwrap();
+        filter.push(DT, &noisy(&clean, NOISE, &mut random)).unwrap();
     }
     let state = filter.state();
     let error = norm(minus(minus(state.position_m, start), [path, 0.0, 0.0]));
@@ -371,11 +368,11 @@ fn constant_velocity_after_an_acceleration_is_not_taken_as_a_rest() {
 fn when_a_sample_was_taken_and_how_it_fits_is_in_the_covariance() {
     let late = ArrayConfig { time_sd_s: 2e-3, ..config(true) };
     let exact = ArrayConfig { time_sd_s: 0.0, ..config(true) };
-    let [mut late, mut exact] = [late, exact].map(|c| ArrayFilter::<24>::new(board(), c).unwrap());
+    let [mut late, mut exact] = [late, exact].map(|c| ArrayFilter::new(board(), c).unwrap());
     let mut random = Random::new(22);
     let mut push = |rate: [f64; 3], turn: [f64; 3], force: [f64; 3]| {
         let clean = outputs(&board(), rate, turn, force);
-        let y = clean.map(|v| v + NOISE * random.normal());
+        let y = noisy(&clean, NOISE, &mut random);
         late.push(DT, &y).unwrap();
         exact.push(DT, &y).unwrap();
         (late.state(), exact.state())

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use proptest::prelude::*;
-use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
+use wimu_nav::array::{ArrayConfig, ArrayFilter};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Rests, Sample, Settings, Start};
 use wimu_nav::stationarity::{RestDetector, RestLimits};
 use wimu_testkit::{Lane, Random};
@@ -118,13 +118,13 @@ fn of_units(profile: Profile, rests: Rests, samples: &[Sample]) -> Result<u32, T
 }
 
 fn of_array(rests: Rests, samples: &[Sample]) -> Result<(), TestCaseError> {
-    let board = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.01).unwrap();
+    let board = crate::common::board(0.005, 0.01);
     let config = ArrayConfig { rests, ..ArrayConfig::default() };
-    let mut filter = ArrayFilter::<24>::new(board, config).unwrap();
+    let mut filter = ArrayFilter::new(board, config).unwrap();
     for sample in samples {
         let turn = sample.rate_rad_s.unwrap_or_default();
         // What all sensors feel, and what each feels besides.
-        let output = core::array::from_fn(|k| {
+        let output: [f64; 24] = core::array::from_fn(|k| {
             sample.force_mps2[k % 3] + turn[(k / 3) % 3] * (k as f64 - 12.0)
         });
         let _ = filter.push(sample.step_s, &output);

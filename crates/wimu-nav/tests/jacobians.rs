@@ -5,7 +5,7 @@ use crate::common;
 use common::Random;
 use common::states::{certain, covariance, difference, nine, shifted, states, three};
 use nalgebra::{DVector, Matrix1, Rotation3, SMatrix, Vector3};
-use wimu_nav::array::{ArraySolver, Geometry, Linear};
+use wimu_nav::array::{ArraySolver, Linear};
 use wimu_nav::filter::Filter;
 use wimu_nav::process::{
     AccelerationOffset, ArrayForce, Carried, CarriedBlocks, ConstantVelocity, GaussMarkov,
@@ -459,8 +459,8 @@ fn the_noise_of_a_strapdown_step_is_that_of_its_sensors_and_times() {
 }
 
 /// Eight triads off the plane and the centre, so that centripetal acceleration is in every measured value.
-fn array() -> ArraySolver<24> {
-    let axes = Geometry::<24>::eight_triads_board(0.02, 0.005, 0.02).unwrap();
+fn array() -> ArraySolver {
+    let axes = crate::common::board(0.005, 0.02);
     ArraySolver::of(&axes, |sensor| sensor != 2).unwrap()
 }
 
@@ -497,8 +497,10 @@ fn transitions_of_an_array_are_those_of_its_steps() {
         };
         let f = transition(&filter, &all, &rotation);
         assert_rows(&f, &numerical_of(&filter, &all, &rotation), 0..30, &all, 2e-6);
-        let linear =
-            Linear { theta: std::array::from_fn(|_| 3.0 * random.normal()), ..Linear::default() };
+        let linear = Linear {
+            theta: nalgebra::Vector6::from_fn(|_, _| 3.0 * random.normal()),
+            ..Linear::default()
+        };
         let force = ArrayForce {
             blocks: &blocks,
             solver: &solver,
@@ -552,7 +554,7 @@ fn the_jacobian_of_a_reduced_sample_is_its_derivative() {
             let shown = |by: f64| {
                 let mut shown = rate;
                 shown[axis] += by * rate.norm();
-                solver.expected_z(shown.into()).0
+                solver.expected_z(&shown).0
             };
             let (more, less) = (shown(SMALL), shown(-SMALL));
             for k in 0..6 {

@@ -65,13 +65,13 @@ pub struct AlignOptions {
 /// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
-/// Those of [`Calibration::parameters`] and [`SensorCalibration::compile`](crate::calibration::SensorCalibration::compile).
+/// Those of [`Calibration::models`] and [`SensorCalibration::compile`](crate::calibration::SensorCalibration::compile).
 pub fn alignment(
     data: &Samples<'_>,
     calibration: &Calibration,
     options: &AlignOptions,
 ) -> Result<CalibrationReport> {
-    let set = &calibration.parameters()?;
+    let set = &calibration.models()?;
     let forces = data.corrected(calibration.sensor())?;
     let rests = data.rests(&forces);
     let mut outcome = Outcome { findings: data.findings(), ..Outcome::default() };
@@ -112,7 +112,10 @@ pub fn alignment(
             numbers["residual_deg"] = json!(residual);
             head += &format!(", the directions agree to {residual:.2}°");
             lines = describe(&aligned);
-            file = Some(calibration.after(&aligned, data.name).of_device(data.info().device_id));
+            let mut after = calibration.clone().of_device(data.info().device_id);
+            let sensor = after.sensor_mut();
+            (sensor.alignment, sensor.alignment_covariance) = (alignment, alignment_covariance);
+            file = Some(after);
         }
     }
     let title = format!("Alignment of {}", data.name);

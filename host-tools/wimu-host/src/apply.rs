@@ -9,7 +9,7 @@
 //! let model = ErrorModel::new(ErrorTerms { bias_mps2: [0.1, 0.0, 0.0], ..ErrorTerms::default() }).unwrap();
 //! let sensitivity = Sensitivity::from_lsb_per_g(1000.0).unwrap();
 //! let set = ParameterSet { model, ..ParameterSet::uncalibrated(2, sensitivity) };
-//! let calibration = Calibration::new(&set, &[], "poses.csv");
+//! let calibration = Calibration::held(&set);
 //!
 //! let mut recording = Recording::new("example");
 //! let counts = Unit::Counts { si_per_lsb: None };

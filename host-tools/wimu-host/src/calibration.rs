@@ -24,7 +24,7 @@ pub use correction::Correction;
 use datasheet::DatasheetReport;
 pub use datasheet::{Datasheet, datasheet};
 pub use describe::{Difference, describe, parameter_figures, values_text};
-pub use export::{CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms};
+pub use export::{CalibrationExport, ExportTarget, KalibrNoise};
 pub(crate) use file::worst_sd;
 pub use file::{
     AccelerometerCalibration, Calibration, Quality, SensorCalibration, Session, force_sd_mps2,
@@ -42,6 +42,7 @@ pub use source::compiled_for;
 pub use update::update;
 
 use wimu_calib::{Face, Gravity, MultiPosition, Placement, Pose, Term, Terms};
+use wimu_model::CalibrationMethod;
 
 use crate::plural::counted;
 use crate::recording::Samples;
@@ -52,60 +53,28 @@ use crate::{Code, Result};
 /// that a board accepts is narrower: [`Sensitivity::from_lsb_per_g`].
 const SENSOR_LSB_PER_G: std::ops::RangeInclusive<f64> = 1.0..=67_108_864.0;
 
-/// How to estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum MethodChoice {
-    /// From the magnitude of gravity, any orientations.
-    #[default]
-    MultiPosition,
-    /// From six known orientations.
-    SixPosition,
-    /// From full rotations of four steps about level axes.
-    FourAngle,
-    /// From full rotations of three steps about level axes.
-    ThreeAngle,
-}
+/// The methods with static poses.
+pub const METHODS: [CalibrationMethod; 4] = [
+    CalibrationMethod::MultiPosition,
+    CalibrationMethod::SixPosition,
+    CalibrationMethod::FourAngle,
+    CalibrationMethod::ThreeAngle,
+];
 
-impl MethodChoice {
-    /// All methods.
-    pub const ALL: [Self; 4] =
-        [Self::MultiPosition, Self::SixPosition, Self::FourAngle, Self::ThreeAngle];
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::MultiPosition => "multi-position",
-            Self::SixPosition => "six-position",
-            Self::FourAngle => "four-angle",
-            Self::ThreeAngle => "three-angle",
-        }
+/// Steps of a rotation, where a method has rotations.
+pub(crate) fn steps(method: CalibrationMethod) -> Option<usize> {
+    match method {
+        CalibrationMethod::FourAngle => Some(4),
+        CalibrationMethod::ThreeAngle => Some(3),
+        _ => None,
     }
-
-    /// Steps of a rotation, where there are rotations.
-    pub fn steps(self) -> Option<usize> {
-        match self {
-            Self::MultiPosition | Self::SixPosition => None,
-            Self::FourAngle => Some(4),
-            Self::ThreeAngle => Some(3),
-        }
-    }
-}
-
-/// What determines the parameters with [`MethodChoice::MultiPosition`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ModelChoice {
-    /// The poses alone: they are refused unless they determine all nine.
-    #[default]
-    Nine,
-    /// The poses, and the tolerances of typical datasheets as priors.
-    Auto,
 }
 
 /// The model and terms that a text such as `6`, `auto` or `9+drift` names; those of the method where it names none.
 ///
 /// # Errors
 /// `usage` for an unknown name, or one that does not go with the method.
-pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Terms)> {
+pub fn parse_model(text: &str, method: CalibrationMethod) -> Result<MultiPosition> {
     let (base, names) =
         text.split_once('+').map_or((text, None), |(base, names)| (base, Some(names)));
     let mut terms = Terms::NONE;
@@ -122,38 +91,36 @@ pub fn parse_model(text: &str, method: MethodChoice) -> Result<(ModelChoice, Ter
             }
         };
     }
-    let model = match (base, method) {
+    let priors = match (base, method) {
         ("", _)
-        | ("12", MethodChoice::SixPosition)
-        | ("6", MethodChoice::FourAngle | MethodChoice::ThreeAngle) => ModelChoice::default(),
-        ("9", MethodChoice::MultiPosition) => ModelChoice::Nine,
-        ("auto", MethodChoice::MultiPosition) => ModelChoice::Auto,
+        | ("12", CalibrationMethod::SixPosition)
+        | ("6", CalibrationMethod::FourAngle | CalibrationMethod::ThreeAngle)
+        | ("9", CalibrationMethod::MultiPosition) => false,
+        ("auto", CalibrationMethod::MultiPosition) => true,
         _ => {
             return Err(Code::Usage.error(
-                format!("--model {text} does not go with --method {}", method.name()),
+                format!("--model {text} does not go with --method {method}"),
                 "multi-position has 9 or auto, six-position 12, four-angle and three-angle 6",
             ));
         }
     };
-    if terms != Terms::NONE && method != MethodChoice::MultiPosition {
+    if terms != Terms::NONE && method != CalibrationMethod::MultiPosition {
         return Err(Code::Usage.error(
             format!("--model {text}: only multi-position has terms"),
             "leave the term out, or use --method multi-position",
         ));
     }
-    Ok((model, terms))
+    Ok(MultiPosition { terms, priors, ..MultiPosition::default() })
 }
 
 /// Options of a calibration.
 #[derive(Clone, Debug, Default)]
 pub struct CalibrateOptions {
-    /// Method.
-    pub method: MethodChoice,
-    /// Model to fit.
-    pub model: ModelChoice,
-    /// Terms to fit in addition to the model, with [`MethodChoice::MultiPosition`].
-    pub terms: Terms,
-    /// Which side was up in each pose, in order, with [`MethodChoice::SixPosition`]; `None` detects the sides from the
+    /// One of [`METHODS`].
+    pub method: CalibrationMethod,
+    /// What is fitted with [`CalibrationMethod::MultiPosition`]; outliers are rejected in any case.
+    pub model: MultiPosition,
+    /// Which side was up in each pose, in order, with [`CalibrationMethod::SixPosition`]; `None` detects the sides from the
     /// readings.
     pub sides: Option<Vec<Face>>,
     /// Local gravity, m/s², taken as exact; `None`: 9.80665 ± 0.015.
@@ -222,9 +189,7 @@ impl CalibrateOptions {
         ))
     }
 
-    /// What is fitted with [`MethodChoice::MultiPosition`].
     pub(crate) fn multi_position(&self) -> MultiPosition {
-        let priors = self.model == ModelChoice::Auto;
-        MultiPosition { terms: self.terms, priors, reject: true }
+        MultiPosition { reject: true, ..self.model }
     }
 }

@@ -4,9 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use wimu_host::calibration::{
-    Calibration, CalibrationExport, ExportTarget, KalibrNoise, KalibrTerms,
-};
+use wimu_host::calibration::{Calibration, CalibrationExport, ExportTarget, KalibrNoise};
 use wimu_host::csv::AccelerationUnit;
 use wimu_model::{
     Alignment, CentiCelsius, ErrorModel, ErrorTerms, GyroscopeModel, GyroscopeParameters,
@@ -48,7 +46,7 @@ fn set() -> ParameterSet {
 
 /// The export of `set`, of counts or of output in m/s².
 fn export(set: &ParameterSet, of_counts: bool, folder: &Path) -> CalibrationExport {
-    let mut file = Calibration::new(set, &[], "poses.csv");
+    let mut file = Calibration::held(set);
     if !of_counts {
         let accelerometer = &mut file.sensor_mut().accelerometer;
         accelerometer.unit = AccelerationUnit::Mps2;
@@ -235,12 +233,18 @@ fn the_matrix_of_imu_calib_ends_in_body_axes() {
 fn kalibr_has_its_keys_and_never_an_invented_noise() {
     let folder = tempfile::tempdir().unwrap();
     let export = export(&set(), true, folder.path());
-    let kalibr = |noise| export.text(ExportTarget::Kalibr, noise);
-    let terms =
-        KalibrTerms { density: 0.002, random_walk: 1e-4, random_walk_seen: true, coarse: false };
-    let of = |terms| KalibrNoise { rate_hz: 100.0, sensors: [Some(terms), None] };
-    let noise = of(terms);
-    let text = kalibr(Some(noise));
+    let kalibr = |text: Option<&str>| {
+        let noise = text.map(|text| KalibrNoise::parse(text).unwrap());
+        export.text(ExportTarget::Kalibr, noise.as_ref())
+    };
+    let axis = r#"{"random_walk": {"value": 0.002}, "bias_random_walk": {"value": 0.0001}}"#;
+    let unseen = r#"{"random_walk": {"value": 0.001}, "floor": 2e-4, "floor_tau_s": 3.0}"#;
+    let report = |axes: &str| {
+        format!(
+            r#"{{"command": "allan", "data": {{"rate_hz": 100.0, "accelerometer": {{"axes": [{axes}]}}}}}}"#
+        )
+    };
+    let text = kalibr(Some(&report(axis)));
     for line in [
         "rostopic: /imu/data_raw",
         "update_rate: 100.0",
@@ -255,16 +259,14 @@ fn kalibr_has_its_keys_and_never_an_invented_noise() {
     ] {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");
     }
-    assert!(!text.contains("Not observed"));
-    let unseen = of(KalibrTerms { random_walk_seen: false, ..terms });
-    let unseen = kalibr(Some(unseen));
-    assert!(unseen.contains("# Not observed in the recording: upper bound"));
-    assert!(unseen.contains("\naccelerometer_random_walk: 0.0001\n"));
+    // The noisiest axis counts, and the bound where a random walk was not observed.
+    let both = kalibr(Some(&report(&format!("{axis}, {unseen}"))));
+    assert!(both.contains("\naccelerometer_noise_density: 0.002\n"), "{both}");
+    assert!(both.contains("\naccelerometer_random_walk: 0.0002\n"), "{both}");
+    assert!(KalibrNoise::parse(&report("")).is_none() && KalibrNoise::parse("{}").is_none());
     for word in ["at 24.50 °C", "nonlinearity", "alignment"] {
         assert!(text.contains(word), "{word} in {text}");
     }
-    let coarse = of(KalibrTerms { coarse: true, ..terms });
-    assert!(kalibr(Some(coarse)).contains("# Counts are coarser"));
     let text = kalibr(None);
     let has_noise = |line: &str| line.starts_with("accelerometer_noise");
     assert!(!text.lines().any(has_noise));

@@ -2,7 +2,9 @@
 
 use wimu_host::imu::{Imu, Sample};
 use wimu_host::inertial::aids::Mounting;
+use wimu_host::inertial::aids::heading::HEADING as HEADING_FIX;
 use wimu_host::inertial::aids::position::POSITION;
+use wimu_host::inertial::aids::velocity::VELOCITY;
 use wimu_host::inertial::{Aid, Aids, Choice, InertialPath, LeastDelay, Live, PathPoint, navigate};
 use wimu_host::series::Ns;
 use wimu_testkit::Random;
@@ -145,9 +147,51 @@ fn fixes_that_go_on_contradicting_are_followed_with_a_finding() {
         "{:?}",
         path.findings
     );
+    // Where the path was when the fixes began to contradict it is not known.
+    let wrong = path.points.iter().filter(|point| (20.0..25.0).contains(&point.time_s));
+    assert!(wrong.clone().count() > 400 && wrong.clone().all(|point| !point.valid));
     let end = path.points[path.points.len() - 1];
     let (_, [p, ..]) = truth(end.time_s);
-    assert!((end.position_m[0] - 130.0 - p[0]).abs() < 1.0, "{end:?}");
+    assert!(end.valid && (end.position_m[0] - 130.0 - p[0]).abs() < 1.0, "{end:?}");
+}
+
+#[test]
+fn fixes_without_a_position_give_the_frame_of_what_they_measure() {
+    let (recording, _) = recorded(0.0, 0.0);
+    let end = |aid: &dyn Fn(f64) -> Aid| {
+        let aids = (1..37).map(|k| aid(f64::from(k))).collect();
+        let path = navigate(&recording, &aided(aids, 0.0)).unwrap();
+        assert!(path.aids.values().all(|used| used.used == 36), "{:?}", path.aids);
+        path.points[path.points.len() - 1]
+    };
+    let (heading, [[east, north], ..]) = truth(LENGTH_S);
+    let found = end(&|t| Aid::of(&HEADING_FIX, t, &[truth(t).0], 0.05));
+    let [w, _, _, z] = found.quaternion;
+    let off = 2.0 * z.atan2(w) - heading;
+    assert!(off.sin().abs() < 0.1 && off.cos() > 0.0, "{off}");
+    let found = end(&|t| {
+        let [e, n] = truth(t).1[1];
+        Aid::of(&VELOCITY, t, &[e, n, 0.0], 0.1)
+    });
+    let [e, n, _] = found.position_m;
+    assert!((e - east).hypot(n - north) < 0.5, "{found:?}");
+    let found =
+        end(&|t| Aid { sd: [f64::INFINITY, f64::INFINITY, 0.1], ..fix(t, [0.0, 0.0, 7.0]) });
+    assert!((found.position_m[2] - 7.0).abs() < 0.3, "{found:?}");
+}
+
+#[test]
+fn a_magnetometer_with_a_wrong_axis_is_not_used() {
+    let (mut recording, _) = recorded(0.0, 0.0);
+    for (sample, time) in recording.samples.v.iter_mut().zip(&recording.samples.t) {
+        let (sin, cos) = truth(time.s()).0.sin_cos();
+        sample.field_ut = Some([20.0 * sin, -20.0 * cos, -40.0].into());
+    }
+    let path = navigate(&recording, &Choice::default()).unwrap();
+    assert!(says(&path, "it is not used"), "{:?}", path.findings);
+    // Body x is east at the start.
+    let [w, .., z] = path.points[100].quaternion;
+    assert!((2.0 * z.atan2(w)).abs() < 0.02);
 }
 
 #[test]

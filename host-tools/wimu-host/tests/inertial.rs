@@ -96,6 +96,34 @@ fn an_outlier_of_one_axis_is_left_out() {
 }
 
 #[test]
+fn a_bias_of_the_gyroscope_that_hides_every_rest_is_taken_off() {
+    let whole = slide_after(2.0, 0.0);
+    let mut biased = whole.clone();
+    for rate in biased.samples.v.iter_mut().filter_map(|sample| sample.rate_rad_s.as_mut()) {
+        *rate += nalgebra::Vector3::new(0.15, 0.0, -0.05);
+    }
+    let [path, expected] =
+        [&biased, &whole].map(|recording| navigate(recording, &Choice::default()).unwrap());
+    assert!(said(&path, "taken off as its bias") && !said(&expected, "its bias"));
+    let end = |path: &InertialPath| path.points[path.points.len() - 1];
+    assert!((end(&path).position_m[0] - end(&expected).position_m[0]).abs() < 0.01);
+    assert!(end(&path).valid);
+}
+
+#[test]
+fn a_sensor_that_freezes_in_its_first_second_is_left_out() {
+    let (mut frozen, mut random) = (slide_after(2.0, 0.0), wimu_testkit::Random::new(1));
+    for sample in &mut frozen.samples.v {
+        sample.force_mps2 += nalgebra::Vector3::from(random.normals(0.02));
+    }
+    let last = frozen.samples.v[60];
+    frozen.samples.v[61..].fill(last);
+    let path = navigate(&frozen, &Choice::default()).unwrap();
+    assert!(said(&path, "gives one and the same value"), "{:?}", path.findings);
+    assert!(path.points[200..].iter().all(|point| !point.valid));
+}
+
+#[test]
 fn a_slide_is_not_taken_for_a_foot() {
     let choice = Choice { profile: Profile::Foot, ..Choice::default() };
     let path = navigate(&slide_after(2.0, 0.0), &choice).unwrap();

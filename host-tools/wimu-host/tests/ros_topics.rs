@@ -104,7 +104,7 @@ fn corrected_samples_are_read_with_covariances() {
             recording.row(field, time_ns, &[2e-5, k as f64 * 1e-6, 4e-5]);
         }
     }
-    let calibration = Calibration::new(&set, &[], "poses.csv");
+    let calibration = Calibration::held(&set);
     let corrected = CorrectedRecording::new(calibration.sensor(), &recording).unwrap();
     assert_eq!(corrected.write(&file).unwrap(), 50);
     let Some(topics) = read(&file) else { return };

@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use pyo3::prelude::*;
 use wimu_calib::{Estimate, Face};
 use wimu_host::calibration::{
-    self, CalibrateOptions, CalibrationReport, MethodChoice, SensorCalibration,
+    self, CalibrateOptions, CalibrationReport, METHODS, SensorCalibration,
 };
 use wimu_host::recording::Selection;
 use wimu_model::ParameterSet;
@@ -120,9 +120,9 @@ pub fn calibrate(
     sensor_model: Option<&str>,
     accelerometer: Option<u8>,
 ) -> Result<Calibration> {
-    let named = MethodChoice::ALL.into_iter().find(|m| m.name() == method);
+    let named = METHODS.into_iter().find(|known| known.to_string() == method);
     let method = named.ok_or_else(|| {
-        let names = MethodChoice::ALL.map(MethodChoice::name).join(", ");
+        let names = METHODS.map(|known| known.to_string()).join(", ");
         usage(format!("method={method:?} is not known"), format!("the methods are {names}"))
     })?;
     let side = |name: String| {
@@ -133,12 +133,11 @@ pub fn calibrate(
             .ok_or_else(|| usage(format!("there is no side {name:?}"), remedy))
     };
     let sides = sides.map(|sides| sides.into_iter().map(side).collect::<Result<Vec<_>>>());
-    let (model, terms) = calibration::parse_model(model, method)?;
+    let model = calibration::parse_model(model, method)?;
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let options = CalibrateOptions {
         method,
         model,
-        terms,
         sides: sides.transpose()?,
         gravity_mps2: gravity,
         place: None,

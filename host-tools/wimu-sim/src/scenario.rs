@@ -6,7 +6,7 @@ mod host;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use wimu_host::calibration::{CalibrateOptions, CalibrationReport, MethodChoice, calibrate};
+use wimu_host::calibration::{CalibrateOptions, CalibrationReport, calibrate};
 use wimu_host::capture::{Boot, Capture};
 use wimu_host::decode::TimedSample;
 use wimu_host::navigation::{self, Point};
@@ -17,7 +17,9 @@ use wimu_link::auth::DeviceKey;
 use wimu_link::hello::Capabilities;
 use wimu_link::message::Settings;
 use wimu_link::{Hello, LinkRole};
-use wimu_model::{DeviceTimeUs, ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16};
+use wimu_model::{
+    CalibrationMethod, DeviceTimeUs, ParameterId, ParameterSet, SpecificForceMps2, SpecificForceQ16,
+};
 
 use crate::attitude::Attitude;
 use crate::board::{Board, BoardConfig, SensorPart, VirtualBoard};
@@ -239,8 +241,8 @@ impl FirstLight {
     fn calibrate(&self, recording: &Capture) -> Result<(CalibrationReport, ParameterSet)> {
         let options = CalibrateOptions {
             method: match self.calibration {
-                Calibration::SixPositions => MethodChoice::SixPosition,
-                Calibration::TwelvePoses => MethodChoice::MultiPosition,
+                Calibration::SixPositions => CalibrationMethod::SixPosition,
+                Calibration::TwelvePoses => CalibrationMethod::MultiPosition,
             },
             placement_sd_deg: Some(0.0),
             gravity_mps2: Some(World::default().gravity_mps2),

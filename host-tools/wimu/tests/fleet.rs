@@ -178,7 +178,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
     let calibrations = folder.path().join("calibrations");
     fs::create_dir(&calibrations).unwrap();
-    Calibration::new(&set, &[], "").write(&calibrations.join("b.json")).unwrap();
+    Calibration::held(&set).write(&calibrations.join("b.json")).unwrap();
     let fleet = format!("mqtt://127.0.0.1:{}/hall", broker.port);
     let push = ["fleet", "push", &fleet, calibrations.to_str().unwrap()];
     wimu(&push).fails(4, "key_needed");
@@ -221,7 +221,7 @@ fn commands_pass_signed_and_what_a_malicious_client_sends_does_not() {
 /// A calibration of bias and no device, and the same that names one.
 fn calibration(file: &Path, device_id: Option<u64>) {
     let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16_384.0).unwrap());
-    Calibration::new(&set, &[], "").of_device(device_id).write(file).unwrap();
+    Calibration::held(&set).of_device(device_id).write(file).unwrap();
 }
 
 #[test]

@@ -240,7 +240,7 @@ fn a_calibration_exported_for_a_device_is_the_set_that_the_device_compiles() {
     let (folder, set) = (folder(), &Session::get().set);
     let [calibration, out] =
         ["CAL.json", "sensor.wimu"].map(|name| folder.path().join(name).display().to_string());
-    Calibration::new(set, &[], "").write(Path::new(&calibration)).unwrap();
+    Calibration::held(set).write(Path::new(&calibration)).unwrap();
     let report = wimu(&["convert", &calibration, "--to", "device", "-o", &out]).succeeds();
     let bytes = fs::read(&out).unwrap();
     assert_eq!(report["bytes"], bytes.len());

@@ -3,8 +3,8 @@
 use nalgebra::{Matrix2, Vector2};
 use wimu_model::CalibratedTemperature;
 
-use super::Group;
-use crate::terms::Slot;
+use super::group_of;
+use crate::terms::usual_sd;
 use crate::{Covariance, Estimate, Parameter, Parameters};
 
 /// Sessions from which on temperature coefficients are estimated.
@@ -15,11 +15,13 @@ pub(super) const LEAST_SD: f64 = 1e-8;
 /// Precision of the prior of a slope that is not estimated, of 0.
 const NO_SLOPE: f64 = 1e30;
 
-/// The temperature coefficient of a bias or scale factor.
-pub(super) fn slope_of(parameter: Parameter) -> Option<Slot> {
-    let pairs = Parameter::BIAS.into_iter().chain(Parameter::SCALE);
-    let mut pairs = pairs.zip(Slot::ALL.into_iter().skip(15));
-    pairs.find(|(of, _)| *of == parameter).map(|pair| pair.1)
+/// The temperature coefficient of a bias or scale factor, an index of [`Theta`](crate::terms::Theta).
+pub(super) fn slope_of(parameter: Parameter) -> Option<usize> {
+    match parameter.index() {
+        axis @ 0..3 => Some(15 + axis),
+        scale @ (3 | 7 | 11) => Some(18 + scale / 4),
+        _ => None,
+    }
 }
 
 /// Sessions of one sensor.
@@ -100,7 +102,7 @@ impl<'a> Sessions<'a> {
     /// Regression on temperature with the variance `between` sessions and the slope's prior.
     /// Equation (152).
     pub fn line(&self, parameter: Parameter, between: f64) -> Line {
-        let prior_sd = slope_of(parameter).filter(|_| self.slopes).and_then(Slot::usual_sd);
+        let prior_sd = slope_of(parameter).filter(|_| self.slopes).and_then(usual_sd);
         let prior = prior_sd.map_or(NO_SLOPE, |sd| 1.0 / (sd * sd));
         let row = |kelvin: f64| Vector2::new(1.0, kelvin);
         let mut information = Matrix2::from_diagonal(&Vector2::new(0.0, prior));
@@ -124,15 +126,15 @@ impl<'a> Sessions<'a> {
     }
 
     /// The fitted parameters of a group.
-    fn of(&self, group: Group) -> impl Iterator<Item = Parameter> {
+    fn of(&self, group: usize) -> impl Iterator<Item = Parameter> {
         let fitted = self.all.first().map(|session| session.fitted);
         let fitted = fitted.unwrap_or_default();
-        fitted.iter().filter(move |p| Group::of(*p) == group)
+        fitted.iter().filter(move |p| group_of(*p) == group)
     }
 
     /// Sum of squared residuals of a group over its expectation, which falls with the variance
     /// between sessions, and the expectation.
-    fn ratio(&self, group: Group, between: f64) -> (f64, f64) {
+    fn ratio(&self, group: usize, between: f64) -> (f64, f64) {
         let (mut residual, mut dof) = (0.0, 0.0);
         for parameter in self.of(group) {
             let line = self.line(parameter, between);
@@ -143,7 +145,7 @@ impl<'a> Sessions<'a> {
     }
 
     /// The variance between sessions at which the ratio is `target`.
-    fn variance_at(&self, group: Group, target: f64) -> f64 {
+    fn variance_at(&self, group: usize, target: f64) -> f64 {
         let above = |between: f64| self.ratio(group, between).0 > target;
         let (mut low, mut high) = (0.0, LEAST_SD * LEAST_SD);
         if !above(0.0) {
@@ -167,14 +169,14 @@ impl<'a> Sessions<'a> {
     }
 
     /// Paule and Mandel's estimate. Equation (153).
-    pub fn between(&self, group: Group) -> Between {
+    pub fn between(&self, group: usize) -> Between {
         let variance = self.variance_at(group, 1.0);
         Between { variance, dof: self.ratio(group, variance).1 }
     }
 
     /// Mean of what the variance between sessions can be, equation (154): with negligible variances within the sessions
     /// dof/(dof − 2) times the estimate.
-    pub fn expected(&self, group: Group, found: Between) -> f64 {
+    pub fn expected(&self, group: usize, found: Between) -> f64 {
         if found.dof < 1.0 {
             return 0.0;
         }

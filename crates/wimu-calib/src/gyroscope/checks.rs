@@ -4,8 +4,8 @@ use alloc::format;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::model::Angles;
 use super::rests::Session;
+use crate::estimate::Residuals;
 use crate::orientation::axis_name;
 use crate::{Reason, Refusal, UnitHint};
 
@@ -44,7 +44,7 @@ pub(super) fn plausible(session: &Session<'_>) -> Result<Start, Refusal> {
         return Err(Refusal::new(Reason::TooFew { have: 0, need: 1 }, text));
     }
     let angles = session.angles(Matrix3::identity(), true);
-    if angles.rms_rad() > PLAUSIBLE_RAD {
+    if angles.rms() > PLAUSIBLE_RAD {
         return Err(explanation(session).unwrap_or_else(|| inconsistent(&angles)));
     }
     let count = poses.len() as f64;
@@ -83,7 +83,7 @@ fn hypothesis(k: usize) -> Matrix3<f64> {
 fn explanation(session: &Session<'_>) -> Option<Refusal> {
     let (mut best, mut next) = ((f64::INFINITY, 0), f64::INFINITY);
     for k in 0..FACTORS.len() + 47 {
-        let rms = session.angles(hypothesis(k), true).rms_rad();
+        let rms = session.angles(hypothesis(k), true).rms();
         if rms < best.0 {
             (best, next) = ((rms, k), best.0);
         } else {
@@ -128,8 +128,8 @@ fn other_axes(matrix: &Matrix3<f64>) -> Refusal {
 }
 
 /// The refusal of directions that are not predicted.
-pub(super) fn inconsistent(angles: &Angles) -> Refusal {
-    let (rms, index) = (angles.rms_rad(), angles.worst_turn);
+pub(super) fn inconsistent(angles: &Residuals) -> Refusal {
+    let (rms, index) = (angles.rms(), angles.worst);
     let text = format!(
         "The rotations predict the direction of gravity to {:.1}° rms only, worst after rest {index} (from 0). Check units \
          and times, or rotate more slowly.",

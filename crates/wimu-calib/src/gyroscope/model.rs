@@ -13,6 +13,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 use super::rests::{Rest, Session};
 use super::turn::Turn;
 use super::{AccelerometerCalibration, G_SENSITIVITY, MATRIX, PARAMETERS, PRIOR_SD, perfect};
+use crate::estimate::Residuals;
 use crate::least_squares::{self, ResidualModel, Rows, Settings};
 
 /// Parameters of the gyroscope, with the bias at the last rest; then errors of the accelerometer's 12 parameters in
@@ -48,35 +49,6 @@ pub(super) struct Noise {
 pub(super) struct Squares {
     pub sum: f64,
     pub dof: f64,
-}
-
-/// Angles between predicted and measured directions of gravity.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Angles {
-    squares: f64,
-    pub worst_rad: f64,
-    pub worst_turn: usize,
-    pub count: usize,
-}
-
-impl Angles {
-    pub fn add(&mut self, turn: usize, angle_rad: f64) {
-        self.squares += angle_rad * angle_rad;
-        self.count += 1;
-        if angle_rad > self.worst_rad {
-            (self.worst_rad, self.worst_turn) = (angle_rad, turn);
-        }
-    }
-
-    pub fn rms_rad(&self) -> f64 {
-        libm::sqrt(self.squares / self.count.max(1) as f64)
-    }
-
-    /// The rms without the worst turn.
-    pub fn others_rad(&self) -> f64 {
-        let rest = self.squares - self.worst_rad * self.worst_rad;
-        libm::sqrt(rest.max(0.0) / self.count.saturating_sub(1).max(1) as f64)
-    }
 }
 
 /// The observations between a rest and the next, or of the last rest.
@@ -189,21 +161,17 @@ impl<'a> Rotations<'a> {
         Some(found)
     }
 
-    /// Errors of the predicted directions.
-    pub fn angles(&self, at: &Point) -> Angles {
-        let mut angles = Angles::default();
-        for k in 0..self.rests.len().saturating_sub(1) {
-            if let Some(angle_rad) = self.block(at, k).and_then(|block| block.angle_rad) {
-                angles.add(k, angle_rad);
-            }
-        }
-        angles
+    /// Errors of the predicted directions, rad.
+    pub fn angles(&self, at: &Point) -> Residuals {
+        let angle = |k| Some((k, self.block(at, k)?.angle_rad?));
+        Residuals::of((0..self.rests.len().saturating_sub(1)).filter_map(angle))
     }
 
     /// Variances of the errors of a rest.
     fn variances(&self, rest: &Rest) -> SVector<f64, ERRORS> {
         let Noise { sample, bias, .. } = self.noise;
-        let rate = sample / rest.samples + bias * rest.length_s / 12.0 + EARTH_LEVEL;
+        let white = sample / rest.samples + rest.rounding;
+        let rate = white + bias * rest.length_s / 12.0 + EARTH_LEVEL;
         let direction = rest.force_variance / rest.force.norm_squared();
         SVector::from([rate, rate, rate, direction, direction, direction])
     }

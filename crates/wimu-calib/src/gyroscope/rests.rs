@@ -1,14 +1,15 @@
 //! Rests and turns of a session.
 
 use alloc::vec::Vec;
+use core::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 use wimu_model::SpecificForceMps2;
 
-use super::model::Angles;
 use super::turn::Turn;
 use super::{AccelerometerCalibration, GyroscopeSession, SixAxisSample, Theta, TurnFault};
 use crate::Pose;
+use crate::estimate::Residuals;
 
 /// Full-scale ranges of gyroscopes, rad/s: 125, 245, 250, 500, 1000, 2000, 4000 °/s; how near to one the
 /// largest output of a clipped axis is, relative; and how many samples in a row are equal to it.
@@ -17,6 +18,10 @@ const NEAR: f64 = 0.03;
 const IN_A_ROW: u32 = 3;
 /// Part of the full-scale range from which on an output counts as saturated.
 const SATURATED: f64 = 0.998;
+
+/// A rest without this part of it at either end is without rotation: turns of up to four seconds that begin and end smoothly
+/// lose 0.4 % of their angle in the rests beside them.
+const EDGE: usize = 4;
 
 /// What is measured at a rest.
 #[derive(Clone, Copy)]
@@ -29,6 +34,8 @@ pub(super) struct Rest {
     /// Mean output of the gyroscope, rad/s, and variance of a sample of an axis.
     pub rate: Vector3<f64>,
     pub rate_variance: f64,
+    /// Variance of the mean of an axis by rounding, however many samples there are: equation (59).
+    pub rounding: f64,
     pub samples: f64,
     pub length_s: f64,
 }
@@ -38,6 +45,8 @@ pub(super) struct Session<'a> {
     pub given: &'a GyroscopeSession<'a>,
     pub limits_rad_s: [f64; 3],
     pub contradicted: Vec<usize>,
+    /// Step of the output, rad/s: the least change.
+    step_rad_s: f64,
 }
 
 /// From the output of the gyroscope to the angular rate.
@@ -70,7 +79,13 @@ impl<'a> Session<'a> {
             Some(range) => [SATURATED * range; 3],
             None => [0, 1, 2].map(|axis| limit(given.samples, axis)),
         };
-        Self { given, limits_rad_s, contradicted: Vec::new() }
+        let pairs = given.samples.windows(2);
+        let changes = pairs.flat_map(|pair| {
+            [0, 1, 2].map(|axis| (pair[1].rate_rad_s[axis] - pair[0].rate_rad_s[axis]).abs())
+        });
+        let step_rad_s = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
+        let step_rad_s = if step_rad_s.is_finite() { step_rad_s } else { 0.0 };
+        Self { given, limits_rad_s, contradicted: Vec::new(), step_rad_s }
     }
 
     /// `None` if its samples are not there, or not finite.
@@ -82,13 +97,15 @@ impl<'a> Session<'a> {
         let squares: f64 = vectors().map(|y| (y - rate).norm_squared()).sum();
         let accelerometer = self.given.accelerometer;
         let force = accelerometer.force(pose.mean_mps2, pose.temperature_c);
+        let rate_variance = squares / (3.0 * (count - 1.0).max(1.0));
         let rest = Rest {
             up: force.try_normalize(1e-3)?,
             force,
             force_variance: (accelerometer.rms_mps2 * accelerometer.rms_mps2)
                 .max(pose.mean_noise()),
             rate,
-            rate_variance: squares / (3.0 * (count - 1.0).max(1.0)),
+            rate_variance,
+            rounding: (self.step_rad_s * self.step_rad_s - 4.0 * rate_variance).max(0.0) / 12.0,
             samples: count,
             length_s: length_s(samples),
         };
@@ -100,19 +117,15 @@ impl<'a> Session<'a> {
     }
 
     fn samples(&self, pose: &Pose) -> Option<&'a [SixAxisSample]> {
-        let first = usize::try_from(pose.first_sample).ok()?;
-        let end = first.checked_add(pose.samples as usize)?;
-        (self.given.samples.get(first..end)).filter(|samples| !samples.is_empty())
+        self.given.samples.get(inner(pose)?)
     }
 
     /// From the last sample of rest `k` to the first of the next.
     fn between(&self, k: usize) -> &'a [SixAxisSample] {
-        let end = |pose: &Pose| (pose.first_sample as usize).saturating_add(pose.samples as usize);
-        let poses = self.given.poses;
-        let ends = poses.get(k).map(end).zip(poses.get(k + 1));
-        let samples = ends.and_then(|(end, next)| {
-            let range = end.checked_sub(1)?..(next.first_sample as usize).checked_add(1)?;
-            self.given.samples.get(range)
+        let rest = |k: usize| self.given.poses.get(k).and_then(inner);
+        let ends = rest(k).zip(rest(k + 1));
+        let samples = ends.and_then(|(before, after)| {
+            self.given.samples.get(before.end.checked_sub(1)?..after.start.checked_add(1)?)
         });
         samples.unwrap_or_default()
     }
@@ -153,7 +166,7 @@ impl<'a> Session<'a> {
 
     /// Errors of the predicted directions if the rate is `matrix` times the output, without its mean at
     /// the rest before if `centred`.
-    pub fn angles(&self, matrix: Matrix3<f64>, centred: bool) -> Angles {
+    pub fn angles(&self, matrix: Matrix3<f64>, centred: bool) -> Residuals {
         let mut rates = Rates {
             inverse: matrix,
             bias: Vector3::zeros(),
@@ -161,17 +174,24 @@ impl<'a> Session<'a> {
             limits_rad_s: self.limits_rad_s,
             accelerometer: self.given.accelerometer,
         };
-        let mut angles = Angles::default();
-        for (k, (before, after)) in self.rests().zip(self.rests().skip(1)).enumerate() {
+        let pairs = self.rests().zip(self.rests().skip(1)).enumerate();
+        Residuals::of(pairs.filter_map(|(k, (before, after))| {
             if centred {
                 rates.bias = before.rate;
             }
-            if let Ok(turn) = self.turn(k, &rates) {
-                angles.add(k, turn.attitude.tr_mul(&before.up).angle(&after.up));
-            }
-        }
-        angles
+            let turn = self.turn(k, &rates).ok()?;
+            Some((k, turn.attitude.tr_mul(&before.up).angle(&after.up)))
+        }))
     }
+}
+
+/// The samples of a rest without its first and last part: an accelerometer sees the slow beginning of a turn late, and the
+/// rotation there is part of the turn.
+fn inner(pose: &Pose) -> Option<Range<usize>> {
+    let (first, count) = (usize::try_from(pose.first_sample).ok()?, pose.samples as usize);
+    let cut = count / EDGE;
+    let end = first.checked_add(count)?;
+    (count > 0).then_some(first + cut..end - cut)
 }
 
 fn length_s(samples: &[SixAxisSample]) -> f64 {

@@ -7,19 +7,19 @@ use super::solver::{ArraySolver, Linear};
 pub type SensorBits = u32;
 
 /// A solver that leaves out sensors without an output.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Array<const M: usize> {
-    geometry: Geometry<M>,
-    solver: ArraySolver<M>,
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    geometry: Geometry,
+    solver: ArraySolver,
     absent: SensorBits,
 }
 
-impl<const M: usize> Array<M> {
+impl Array {
     /// Of a geometry.
     ///
     /// # Errors
     /// As [`ArraySolver::new`]; [`GeometryError::TooMany`] for more sensors than a word has bits.
-    pub fn new(geometry: Geometry<M>) -> Result<Self, GeometryError> {
+    pub fn new(geometry: Geometry) -> Result<Self, GeometryError> {
         let (have, most) = (geometry.axes().len() / geometry.group(), SensorBits::BITS as usize);
         if have > most {
             return Err(GeometryError::TooMany { have, most });
@@ -28,7 +28,7 @@ impl<const M: usize> Array<M> {
     }
 
     /// The solver of the sensors that are in use now.
-    pub fn solver(&self) -> &ArraySolver<M> {
+    pub fn solver(&self) -> &ArraySolver {
         &self.solver
     }
 
@@ -37,24 +37,15 @@ impl<const M: usize> Array<M> {
     ///
     /// # Errors
     /// What is missing, where the sensors left do not suffice.
-    pub fn reduce(
-        &mut self,
-        output_mps2: &[f64; M],
-    ) -> Result<(Linear, SensorBits), GeometryError> {
-        let group = self.geometry.group();
-        let outputs = output_mps2.iter().take(self.geometry.axes().len()).enumerate();
-        let absent = outputs.filter(|(_, value)| !value.is_finite());
-        let absent = absent.fold(0, |bits, (index, _)| bits | 1 << (index / group));
+    pub fn reduce(&mut self, output_mps2: &[f64]) -> Result<(Linear, SensorBits), GeometryError> {
+        let (axes, group) = (self.geometry.axes().len(), self.geometry.group());
+        let has_output = |axis: usize| output_mps2.get(axis).is_some_and(|value| value.is_finite());
+        let absent = (0..axes).filter(|axis| !has_output(*axis));
+        let absent = absent.fold(0, |bits, axis| bits | 1 << (axis / group));
         if absent != self.absent {
             self.solver = ArraySolver::of(&self.geometry, |k| absent >> k & 1 == 0)?;
             self.absent = absent;
         }
-        let mut clean = *output_mps2;
-        for (index, value) in clean.iter_mut().enumerate() {
-            if index / group < SensorBits::BITS as usize && absent >> (index / group) & 1 == 1 {
-                *value = 0.0;
-            }
-        }
-        Ok((self.solver.reduce(&clean), absent))
+        Ok((self.solver.reduce(output_mps2), absent))
     }
 }

@@ -50,14 +50,17 @@ impl Alignment {
 /// each root of the angular rate until the data decide.
 ///
 /// ```
-/// use wimu_nav::array::{ArrayConfig, ArrayFilter, Geometry};
+/// use wimu_nav::array::{ArrayConfig, ArrayFilter, Axis, Geometry};
 ///
-/// let board = Geometry::eight_triads_board(0.02, 0.005, 0.01)?;
-/// let mut filter = ArrayFilter::<24>::new(board, ArrayConfig::default())?;
+/// // Four triads at alternate corners of a cube, 2 cm from its centre, with 0.01 m/s² of noise.
+/// let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0_f64]];
+/// let triads = corners.map(|corner| Axis::triad(corner.map(|c| 0.0115 * c), 0.01));
+/// let geometry = Geometry::new(triads.into_iter().flatten(), 3)?;
+/// let mut filter = ArrayFilter::new(geometry, ArrayConfig::default())?;
 /// // At rest, z up.
 /// for k in 0..200 {
 ///     let noise = |axis: usize| 0.003 * ((7 * k + 5 * axis) % 11) as f64 - 0.015;
-///     let sample = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise(axis) } else { noise(axis) });
+///     let sample: [f64; 12] = core::array::from_fn(|axis| if axis % 3 == 2 { 9.80665 + noise(axis) } else { noise(axis) });
 ///     filter.push(0.01, &sample).unwrap();
 /// }
 /// let state = filter.state();
@@ -65,14 +68,14 @@ impl Alignment {
 /// # Ok::<(), wimu_nav::array::GeometryError>(())
 /// ```
 #[derive(Clone, Debug)]
-pub struct ArrayFilter<const M: usize> {
+pub struct ArrayFilter {
     config: ArrayConfig,
-    array: Array<M>,
+    array: Array,
     blocks: RigidArrayBlocks,
     hidden: Block<3>,
     layout: Layout,
     mixture: Option<Mixture<MOST>>,
-    level: Level<M>,
+    level: Level,
     rest_test: RestTest,
     align: Alignment,
     absent: SensorBits,
@@ -96,13 +99,13 @@ pub struct ArrayFilter<const M: usize> {
     surprise: f64,
 }
 
-impl<const M: usize> ArrayFilter<M> {
+impl ArrayFilter {
     /// A filter without samples.
     ///
     /// # Errors
     /// As [`Array::new`].
-    pub fn new(geometry: Geometry<M>, config: ArrayConfig) -> Result<Self, GeometryError> {
-        let array = Array::<M>::new(geometry)?;
+    pub fn new(geometry: Geometry, config: ArrayConfig) -> Result<Self, GeometryError> {
+        let array = Array::new(geometry)?;
         let mut layout = Layout::new([0.0; 3], 0.0, 0.0);
         let solver = array.solver();
         let lever = solver.rate_error(config.place_sd_m);
@@ -141,7 +144,7 @@ impl<const M: usize> ArrayFilter<M> {
     }
 
     /// The solver of the sensors that are in use now.
-    pub fn solver(&self) -> &ArraySolver<M> {
+    pub fn solver(&self) -> &ArraySolver {
         self.array.solver()
     }
 
@@ -156,7 +159,7 @@ impl<const M: usize> ArrayFilter<M> {
     ///
     /// # Errors
     /// [`ArrayFault`].
-    pub fn push(&mut self, step_s: f64, output_mps2: &[f64; M]) -> Result<SensorBits, ArrayFault> {
+    pub fn push(&mut self, step_s: f64, output_mps2: &[f64]) -> Result<SensorBits, ArrayFault> {
         let late = self.started && step_s <= 0.0;
         if !step_s.is_finite() || step_s < 0.0 || late {
             return Err(ArrayFault::NoTime);
@@ -179,7 +182,7 @@ impl<const M: usize> ArrayFilter<M> {
         if gap { Err(ArrayFault::Gap) } else { Ok(absent) }
     }
 
-    fn take(&mut self, step: f64, output: &[f64; M], linear: &Linear) {
+    fn take(&mut self, step: f64, output: &[f64], linear: &Linear) {
         let [bias, _] = self.bias_variances();
         let solver = self.array.solver();
         let noise = self.level.excess.max(1.0);
@@ -306,7 +309,7 @@ impl<const M: usize> ArrayFilter<M> {
             refine(-own);
             let roots = roots.get_or_insert_with(|| solver.roots_of(linear));
             for root in roots.iter() {
-                let root = Vector3::from(root.rate_rad_s);
+                let root = root.rate_rad_s;
                 if near(&root) {
                     refine(root);
                 }
@@ -340,8 +343,7 @@ impl<const M: usize> ArrayFilter<M> {
         let [rate, turn] = [self.blocks.rate(), self.blocks.acceleration()];
         let velocity = state.get(VELOCITY);
         let acceleration = self.last.as_ref().map_or(Vector3::zeros(), |(linear, _)| {
-            let force = Vector3::from_fn(|i, _| linear.theta[3 + i]);
-            c * force - Vector3::z() * self.config.gravity_mps2
+            c * linear.force_mps2() - Vector3::z() * self.config.gravity_mps2
         });
         let time = self.config.time_sd_s;
         let at_time = |block: Block<3>, change: Vector3<f64>, factor: f64| -> [[f64; 3]; 3] {
@@ -370,14 +372,14 @@ impl<const M: usize> ArrayFilter<M> {
 }
 
 /// Half a step of velocity and position with a sample.
-fn force<'a, const M: usize>(
+fn force<'a>(
     config: &ArrayConfig,
     blocks: &'a RigidArrayBlocks,
-    solver: &'a ArraySolver<M>,
+    solver: &'a ArraySolver,
     step: f64,
     linear: &'a Linear,
     noise: &Noise,
-) -> ArrayForce<'a, M> {
+) -> ArrayForce<'a> {
     let own = config.force_noise_mps2 * config.force_noise_mps2;
     ArrayForce {
         blocks,

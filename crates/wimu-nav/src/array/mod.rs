@@ -7,15 +7,14 @@
 
 mod available;
 mod filter;
+mod geometry;
 mod noise;
 mod rest;
 mod solver;
 mod state;
 
-use wimu_model::geometry;
-
 pub use available::{Array, SensorBits};
 pub use filter::ArrayFilter;
-pub use geometry::{Axis, Geometry, GeometryError, Triad};
+pub use geometry::{Axis, Geometry, GeometryError};
 pub use solver::{ArraySolver, Hypothesis, Linear};
 pub use state::{ArrayConfig, ArrayFault, ArrayState};

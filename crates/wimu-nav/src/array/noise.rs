@@ -1,5 +1,7 @@
 //! Noise of a sample and of the motion, estimated from the samples: equations (76) and (104).
 
+use alloc::vec::Vec;
+
 use nalgebra::Vector3;
 
 use super::ArrayConfig;
@@ -23,14 +25,14 @@ const VIBRATION_ACCELERATION: f64 = 1.5;
 const VIBRATION_RATE: f64 = 0.2;
 
 /// Mean squares of the last samples.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Level<const M: usize> {
+#[derive(Clone, Debug)]
+pub(super) struct Level {
     /// Excess residual, equation (76).
     pub excess: f64,
     /// Mean square of the angular acceleration, (rad/s²)².
     pub activity: f64,
     /// The outputs before, m/s², and the mean square of their rates of change, (m/s³)².
-    last: Option<[f64; M]>,
+    last: Vec<f64>,
     jerk: f64,
 }
 
@@ -48,18 +50,18 @@ pub(super) struct Noise {
     pub rate_walk: f64,
 }
 
-impl<const M: usize> Level<M> {
+impl Level {
     pub fn new() -> Self {
-        Self { excess: 1.0, activity: 0.0, last: None, jerk: 0.0 }
+        Self { excess: 1.0, activity: 0.0, last: Vec::new(), jerk: 0.0 }
     }
 
     /// Noise of a sample. `rate` is the angular rate, rad/s; `away` the specific force less its low-passed value, m/s².
     pub fn push(
         &mut self,
         config: &ArrayConfig,
-        solver: &ArraySolver<M>,
+        solver: &ArraySolver,
         step: f64,
-        output: &[f64; M],
+        output: &[f64],
         linear: &Linear,
         [rate, away]: [Vector3<f64>; 2],
     ) -> Noise {
@@ -78,9 +80,9 @@ impl<const M: usize> Level<M> {
         let factor = excess.max(1.0);
         let vibration = variance * (excess - EXCESS_OF_NOISE).max(0.0);
         let covariance = solver.covariance();
-        let seen = (0..3).map(|i| linear.theta[i] * linear.theta[i]);
-        let noise = (0..3).map(|i| covariance[i][i]).sum::<f64>() * 2.0 * factor;
-        let size = (seen.sum::<f64>() - noise).max(0.0) / 3.0;
+        let seen = linear.theta.fixed_rows::<3>(0).norm_squared();
+        let noise = covariance.fixed_view::<3, 3>(0, 0).trace() * 2.0 * factor;
+        let size = (seen - noise).max(0.0) / 3.0;
         self.activity += (size - self.activity) * (step / ACTIVITY_S).min(1.0);
         let by_arm = vibration / (solver.arm_m() * solver.arm_m());
         Noise {
@@ -94,11 +96,11 @@ impl<const M: usize> Level<M> {
         }
     }
 
-    fn push_jerk(&mut self, variance: f64, step: f64, output: &[f64; M]) {
-        let last = self.last.replace(*output);
-        let Some(last) = last.filter(|_| step > 0.0) else {
+    fn push_jerk(&mut self, variance: f64, step: f64, output: &[f64]) {
+        let last = core::mem::replace(&mut self.last, output.to_vec());
+        if last.is_empty() || step <= 0.0 {
             return;
-        };
+        }
         let changes = output.iter().zip(last).map(|(now, before)| now - before);
         let (mut squares, mut count) = (0.0, 0.0);
         for change in changes.filter(|change| change.is_finite()) {

@@ -28,8 +28,8 @@ pub(super) struct RestTest {
 }
 
 impl RestTest {
-    pub fn new<const M: usize>(config: &ArrayConfig, solver: &ArraySolver<M>) -> Self {
-        let noise = libm::sqrt(solver.covariance()[3][3]);
+    pub fn new(config: &ArrayConfig, solver: &ArraySolver) -> Self {
+        let noise = libm::sqrt(solver.covariance()[(3, 3)]);
         let mut settings = RestLimits::default().without_gyroscope(noise);
         settings.gravity_mps2 = config.gravity_mps2;
         let bias = config.bias_mps2 + config.common_bias_mps2;
@@ -58,31 +58,28 @@ impl RestTest {
 
     /// Takes a sample; whether the array is at rest. `bias` is the variance of the bias of an axis, `noise` that of a sample,
     /// both in units of what the geometry declares.
-    pub fn push<const M: usize>(
+    pub fn push(
         &mut self,
-        solver: &ArraySolver<M>,
+        solver: &ArraySolver,
         linear: &Linear,
         step: f64,
         [bias, noise]: [f64; 2],
     ) -> bool {
-        let force = Vector3::from_fn(|i, _| linear.theta[3 + i]);
-        let sample = Zeros::from_fn(|k, _| match k {
-            0..3 => linear.theta[k],
-            _ => linear.z[k - 3],
-        });
+        let force = linear.force_mps2();
+        let sample = linear.rotation();
         let still = self.detector.push(&force, None, step);
         self.follow(&force, step);
         let rank = solver.rank().min(6);
         let zero = |values: &Zeros, variance: f64| {
             let squares = (0..3 + rank).map(|k| {
-                let unit = if k < 3 { solver.covariance()[k][k] } else { 1.0 };
+                let unit = if k < 3 { solver.covariance()[(k, k)] } else { 1.0 };
                 values[k] * values[k] / (unit * variance)
             });
             squares.sum::<f64>() < chi_square_quantile(3 + rank)
         };
         // The last sample: a motion begins within the window.
         let away = force - self.mean_force;
-        let variance = self.force_variance + noise * solver.covariance()[3][3];
+        let variance = self.force_variance + noise * solver.covariance()[(3, 3)];
         let steady = away.norm_squared() < variance * chi_square_quantile(3);
         if !(steady && zero(&sample, bias + noise)) {
             (self.mean, self.mean_force, self.quiet_s) = (sample, force, 0.0);

@@ -2,7 +2,9 @@
 
 mod roots;
 
-use nalgebra::{Matrix6, Vector3, Vector6};
+use alloc::vec::Vec;
+
+use nalgebra::{DVector, Matrix6, Matrix6x3, MatrixXx6, RowVector6, SVector, Vector3, Vector6};
 
 pub use roots::Hypothesis;
 
@@ -19,48 +21,58 @@ const UNKNOWNS: usize = 6;
 /// What is left of a sample: what the filter works on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Linear {
-    /// Combinations of the outputs in which only ω shows, of unit variance: equation (72).
-    pub z: [f64; 6],
+    /// Combinations of the outputs in which only ω shows, of unit variance: equation (72). Those beyond the rank are 0.
+    pub z: Vector6<f64>,
     /// ω̇ (rad/s²) and s (m/s²) as they would be without centripetal acceleration.
-    pub theta: [f64; 6],
+    pub theta: Vector6<f64>,
+}
+
+impl Linear {
+    /// ω̇ and z.
+    pub fn rotation(&self) -> SVector<f64, 9> {
+        SVector::from_fn(|k, _| if k < 3 { self.theta[k] } else { self.z[k - 3] })
+    }
+
+    /// Specific force, m/s², as it would be without centripetal acceleration.
+    pub fn force_mps2(&self) -> Vector3<f64> {
+        self.theta.fixed_rows::<3>(3).into_owned()
+    }
 }
 
 /// A geometry worked out once, so that a sample costs 12 inner products and a few steps in three
 /// unknowns.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArraySolver<const M: usize> {
-    /// Rows that make z of equation (72).
-    to_z: [[f64; M]; 6],
-    /// Rows that make θ of equation (71).
-    to_theta: [[f64; M]; 6],
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArraySolver {
+    /// 1/σ of each output; 0 for axes that are left out.
+    weights: DVector<f64>,
+    /// H over the noise, for θ in `unit`s.
+    h: MatrixXx6<f64>,
+    /// V of equation (72): orthonormal columns, of which `rank` count.
+    v: MatrixXx6<f64>,
+    /// (HᵀH)⁻¹.
+    inverse: Matrix6<f64>,
+    /// ω̇ and s in their units over those of H.
+    unit: Vector6<f64>,
     /// U of equation (72), of which `rank` rows count.
-    u: [[f64; 6]; 6],
-    /// What centripetal acceleration adds to θ.
-    quadratic_theta: [[f64; 6]; 6],
+    u: Matrix6<f64>,
     /// Least-norm inverse of U: the closed form of the start, equation (74).
-    u_inverse: [[f64; 6]; 6],
-    theta_covariance: [[f64; 6]; 6],
-    /// Rows of H, and 1/σ; 0 for axes that are left out.
-    rows: [[f64; 6]; M],
-    weights: [f64; M],
+    u_inverse: Matrix6<f64>,
+    /// What centripetal acceleration adds to θ.
+    quadratic_theta: Matrix6<f64>,
+    theta_covariance: Matrix6<f64>,
     used: usize,
     rank: usize,
     variance: f64,
     arm_m: f64,
 }
 
-/// Monomials of ω that centripetal acceleration is made of.
-fn monomials([x, y, z]: [f64; 3]) -> [f64; 6] {
-    [x * x, y * y, z * z, y * z, x * z, x * y]
-}
-
-impl<const M: usize> ArraySolver<M> {
+impl ArraySolver {
     /// Works out a geometry.
     ///
     /// # Errors
     /// Too few axes, all at one place, or arranged so that a component of ω̇ or s does not show:
     /// [`GeometryError`] says which.
-    pub fn new(geometry: &Geometry<M>) -> Result<Self, GeometryError> {
+    pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
         Self::of(geometry, |_| true)
     }
 
@@ -68,112 +80,60 @@ impl<const M: usize> ArraySolver<M> {
     ///
     /// # Errors
     /// As [`ArraySolver::new`], for what remains.
-    pub fn of(
-        geometry: &Geometry<M>,
-        usable: impl Fn(usize) -> bool,
-    ) -> Result<Self, GeometryError> {
-        let group = geometry.group();
-        let axes = || geometry.axes().iter().enumerate().filter(|(index, _)| usable(index / group));
-        let have = axes().count();
-        if have < UNKNOWNS {
-            return Err(GeometryError::TooFew { have, need: UNKNOWNS });
+    pub fn of(geometry: &Geometry, usable: impl Fn(usize) -> bool) -> Result<Self, GeometryError> {
+        let (all, group) = (geometry.axes(), geometry.group());
+        let used: Vec<usize> = (0..all.len()).filter(|k| usable(k / group)).collect();
+        if used.len() < UNKNOWNS {
+            return Err(GeometryError::TooFew { have: used.len(), need: UNKNOWNS });
         }
-        let weight = |noise: f64| 1.0 / (noise * noise);
-        let total: f64 = axes().map(|(_, axis)| weight(axis.noise_mps2)).sum();
-        let variances = axes().map(|(_, axis)| axis.noise_mps2 * axis.noise_mps2);
-        let variance = variances.sum::<f64>() / have as f64;
-        let centre: Vector3<f64> = axes()
-            .map(|(_, axis)| Vector3::from(axis.position_m) * (weight(axis.noise_mps2) / total))
-            .sum();
-        let arm = libm::sqrt(
-            axes()
-                .map(|(_, axis)| {
-                    (Vector3::from(axis.position_m) - centre).norm_squared()
-                        * (weight(axis.noise_mps2) / total)
-                })
-                .sum(),
-        );
-        let farthest =
-            axes().map(|(_, axis)| Vector3::from(axis.position_m).norm()).fold(0.0, f64::max);
-        if !(arm > farthest * 1e-9 && arm > 1e-9) {
-            return Err(GeometryError::Coincident);
+        let (centre, arm) = centre_and_arm(all, &used)?;
+        // Rows weighted by 1/σ; ω̇ and ω² in units of 1/arm, so that all columns are alike.
+        let mut weights = DVector::zeros(all.len());
+        let (mut h, mut k) = (MatrixXx6::zeros(all.len()), MatrixXx6::zeros(all.len()));
+        for index in &used {
+            let axis = &all[*index];
+            let (of_theta, of_square) = rows(axis, &centre, arm);
+            let weight = 1.0 / axis.noise_mps2;
+            weights[*index] = weight;
+            h.set_row(*index, &(of_theta * weight));
+            k.set_row(*index, &(of_square * weight));
         }
-        // Rows weighted by 1/σ; ω̇ and ω² in units of 1/arm, so that all columns are alike. They are worked
-        // out twice: small processors have no room for all of them.
-        let row = |axis: &Axis| weighted_row(axis, &centre, arm);
-        let mut information = Matrix6::<f64>::zeros();
-        let mut mixed = Matrix6::<f64>::zeros();
-        let mut quadratic = Matrix6::<f64>::zeros();
-        for (_, axis) in axes() {
-            let (h, k) = row(axis);
-            information.ger(1.0, &h, &h, 1.0);
-            mixed.ger(1.0, &h, &k, 1.0);
-            quadratic.ger(1.0, &k, &k, 1.0);
-        }
-        let inverse = checked_inverse(information, &quadratic)?;
+        let quadratic: Matrix6<f64> = k.tr_mul(&k);
+        let mixed: Matrix6<f64> = h.tr_mul(&k);
+        let inverse = checked_inverse(h.tr_mul(&h), &quadratic)?;
         let quadratic_theta = inverse * mixed;
         let eigen = (quadratic - mixed.tr_mul(&quadratic_theta)).symmetric_eigen();
-        let mut order = [0, 1, 2, 3, 4, 5];
-        let value = |i: usize| eigen.eigenvalues.get(i).copied().unwrap_or(0.0);
-        order.sort_unstable_by(|a, b| value(*b).total_cmp(&value(*a)));
-        let size = quadratic.trace();
-        let mut solver = Self {
-            to_z: [[0.0; M]; 6],
-            to_theta: [[0.0; M]; 6],
-            u: [[0.0; 6]; 6],
-            quadratic_theta: [[0.0; 6]; 6],
-            u_inverse: [[0.0; 6]; 6],
-            theta_covariance: [[0.0; 6]; 6],
-            rows: [[0.0; 6]; M],
-            weights: [0.0; M],
-            used: have,
-            rank: 0,
-            variance,
+        let value = |i: usize| eigen.eigenvalues[i];
+        let mut shown: Vec<usize> = (0..6).collect();
+        shown.retain(|i| value(*i) > quadratic.trace() * QUADRATIC_RANK * QUADRATIC_RANK);
+        shown.sort_unstable_by(|a, b| value(*b).total_cmp(&value(*a)));
+        let projected = &k - &h * quadratic_theta;
+        let mut v = MatrixXx6::zeros(all.len());
+        let (mut u, mut u_inverse) = (Matrix6::zeros(), Matrix6::zeros());
+        // q(ω) = scaled / arm.
+        for (row, from) in shown.iter().enumerate() {
+            let (along, root) = (eigen.eigenvectors.column(*from), libm::sqrt(value(*from)));
+            v.set_column(row, &(&projected * along / root));
+            u.set_row(row, &(along.transpose() * (root * arm)));
+            u_inverse.set_column(row, &(along / (root * arm)));
+        }
+        let unit = Vector6::from_fn(|row, _| if row < 3 { 1.0 / arm } else { 1.0 });
+        let variances = used.iter().map(|k| all[*k].noise_mps2 * all[*k].noise_mps2);
+        Ok(Self {
+            weights,
+            h,
+            v,
+            inverse,
+            unit,
+            u,
+            u_inverse,
+            quadratic_theta: Matrix6::from_diagonal(&unit) * quadratic_theta * arm,
+            theta_covariance: inverse.component_mul(&(unit * unit.transpose())),
+            used: used.len(),
+            rank: shown.len(),
+            variance: variances.sum::<f64>() / used.len() as f64,
             arm_m: arm,
-        };
-        // ω̇ = scaled / arm, q(ω) = scaled / arm.
-        let unit = |row: usize| if row < 3 { 1.0 / arm } else { 1.0 };
-        for (index, axis) in axes() {
-            let (h, k) = row(axis);
-            let weight = 1.0 / axis.noise_mps2;
-            solver.weights[index] = weight;
-            let fit = inverse * h;
-            for column in 0..6 {
-                solver.rows[index][column] = h[column] / (unit(column) * weight);
-                solver.to_theta[column][index] = fit[column] * unit(column) * weight;
-            }
-            let projected = k - quadratic_theta.tr_mul(&h);
-            for (row, from) in order.into_iter().enumerate() {
-                let lambda = value(from);
-                if lambda <= size * QUADRATIC_RANK * QUADRATIC_RANK {
-                    break;
-                }
-                let along = projected.dot(&eigen.eigenvectors.column(from));
-                solver.to_z[row][index] = along / libm::sqrt(lambda) * weight;
-            }
-        }
-        for (row, from) in order.into_iter().enumerate() {
-            let lambda = value(from);
-            if lambda <= size * QUADRATIC_RANK * QUADRATIC_RANK {
-                break;
-            }
-            solver.rank = row + 1;
-            let root = libm::sqrt(lambda);
-            for column in 0..6 {
-                let along = eigen.eigenvectors[(column, from)];
-                solver.u[row][column] = root * along * arm;
-                solver.u_inverse[column][row] = along / (root * arm);
-            }
-        }
-        for row in 0..6 {
-            for column in 0..6 {
-                solver.quadratic_theta[row][column] =
-                    quadratic_theta[(row, column)] * unit(row) * arm;
-                solver.theta_covariance[row][column] =
-                    inverse[(row, column)] * unit(row) * unit(column);
-            }
-        }
-        Ok(solver)
+        })
     }
 
     /// How many of [`Linear::z`] count, and so how many angular rates fit a sample: with 6 ω and −ω; with 3 to 5, of a planar
@@ -184,7 +144,7 @@ impl<const M: usize> ArraySolver<M> {
     }
 
     /// Covariance of ω̇ (rad/s²) and s (m/s²) at known ω.
-    pub fn covariance(&self) -> &[[f64; 6]; 6] {
+    pub fn covariance(&self) -> &Matrix6<f64> {
         &self.theta_covariance
     }
 
@@ -196,7 +156,7 @@ impl<const M: usize> ArraySolver<M> {
     /// Relative standard deviation of a component of ω by errors of the lever arms with this deviation of each coordinate, m:
     /// equation (105).
     pub fn rate_error(&self, position_sd_m: f64) -> f64 {
-        let arms = (0..3).map(|i| self.theta_covariance[i][i]).sum::<f64>() / 3.0;
+        let arms = self.theta_covariance.fixed_view::<3, 3>(0, 0).trace() / 3.0;
         position_sd_m * libm::sqrt(1.5 * arms / self.variance)
     }
 
@@ -208,28 +168,28 @@ impl<const M: usize> ArraySolver<M> {
     /// Variance that the outputs show among themselves, in units of what was declared: what no
     /// motion of a rigid body explains, per degree of freedom, equation (76). `None` where motion
     /// can explain everything.
-    pub fn excess(&self, output_mps2: &[f64; M], linear: &Linear) -> Option<f64> {
+    pub fn excess(&self, output_mps2: &[f64], linear: &Linear) -> Option<f64> {
         let free = self.used.checked_sub(6 + self.rank).filter(|n| *n > 0)?;
-        let rest = self.residuals(output_mps2, linear, &linear.z);
-        Some(inner(&rest, &rest) / free as f64)
+        Some(self.residuals(output_mps2, linear, &linear.z).norm_squared() / free as f64)
     }
 
     /// What is left of each output, over its noise, with `z` explained of the reduced measurement; 0 for axes that are left out.
-    pub fn residuals(&self, output_mps2: &[f64; M], linear: &Linear, z: &[f64; 6]) -> [f64; M] {
-        let mut rest = [0.0; M];
-        for (index, rest) in rest.iter_mut().enumerate() {
-            let weight = self.weights[index];
-            if weight <= 0.0 {
-                continue;
-            }
-            let force = inner(&self.rows[index], &linear.theta);
-            *rest = (output_mps2[index] - force) * weight;
-            for row in 0..self.rank.min(6) {
-                // The columns of V are the rows of `to_z` without their weight.
-                *rest -= self.to_z[row][index] / weight * z[row];
-            }
-        }
-        rest
+    pub fn residuals(
+        &self,
+        output_mps2: &[f64],
+        linear: &Linear,
+        z: &Vector6<f64>,
+    ) -> DVector<f64> {
+        let force = &self.h * linear.theta.component_div(&self.unit);
+        self.weighted(output_mps2) - force - &self.v * z
+    }
+
+    fn weighted(&self, output_mps2: &[f64]) -> DVector<f64> {
+        // Axes that are left out may have no output.
+        DVector::from_fn(self.weights.len(), |axis, _| match self.weights[axis] {
+            weight if weight > 0.0 => output_mps2.get(axis).map_or(f64::NAN, |y| y * weight),
+            _ => 0.0,
+        })
     }
 
     /// Axes in use.
@@ -237,68 +197,71 @@ impl<const M: usize> ArraySolver<M> {
         self.used
     }
 
-    /// The linear part of the work, equations (71) and (72): all that a sample says.
-    pub fn reduce(&self, output_mps2: &[f64; M]) -> Linear {
-        let mut linear = Linear::default();
-        for row in 0..6 {
-            linear.theta[row] = inner(&self.to_theta[row], output_mps2);
-            if row < self.rank {
-                linear.z[row] = inner(&self.to_z[row], output_mps2);
-            }
-        }
-        linear
+    /// The linear part of the work, equations (71) and (72): all that a sample says. One output for each axis of the geometry.
+    pub fn reduce(&self, output_mps2: &[f64]) -> Linear {
+        let weighted = self.weighted(output_mps2);
+        let theta = self.inverse * self.h.tr_mul(&weighted);
+        Linear { z: self.v.tr_mul(&weighted), theta: theta.component_mul(&self.unit) }
     }
 
-    /// ω̇ (rad/s²) and s (m/s²) of a reduced sample at a known angular rate, equation (71).
-    pub fn theta(&self, linear: &Linear, rate_rad_s: [f64; 3]) -> [f64; 6] {
-        let q = monomials(rate_rad_s);
-        let mut theta = linear.theta;
-        for row in 0..6 {
-            theta[row] -= inner(&self.quadratic_theta[row], &q);
-        }
-        theta
+    /// ω̇ (rad/s²) and s (m/s²) of a reduced sample at a known angular rate, rad/s, equation (71).
+    pub fn theta(&self, linear: &Linear, rate_rad_s: &Vector3<f64>) -> Vector6<f64> {
+        linear.theta - self.quadratic_theta * monomials(rate_rad_s)
     }
 
     /// What z should be at `rate_rad_s`, and its derivatives.
-    pub fn expected_z(&self, rate_rad_s: [f64; 3]) -> ([f64; 6], [[f64; 3]; 6]) {
-        let rows = self.u.iter().take(self.rank);
-        at_rate(rows, rate_rad_s)
+    pub fn expected_z(&self, rate_rad_s: &Vector3<f64>) -> (Vector6<f64>, Matrix6x3<f64>) {
+        (self.u * monomials(rate_rad_s), self.u * slopes(rate_rad_s))
     }
 
     /// What centripetal acceleration at `rate_rad_s` adds to [`Linear::theta`], and its derivatives.
-    pub fn expected_theta(&self, rate_rad_s: [f64; 3]) -> ([f64; 6], [[f64; 3]; 6]) {
-        at_rate(self.quadratic_theta.iter(), rate_rad_s)
+    pub fn expected_theta(&self, rate_rad_s: &Vector3<f64>) -> (Vector6<f64>, Matrix6x3<f64>) {
+        let quadratic = &self.quadratic_theta;
+        (quadratic * monomials(rate_rad_s), quadratic * slopes(rate_rad_s))
     }
 }
 
-/// Combinations of the monomials at `rate`, and their derivatives.
-fn at_rate<'a>(
-    rows: impl Iterator<Item = &'a [f64; 6]>,
-    rate: [f64; 3],
-) -> ([f64; 6], [[f64; 3]; 6]) {
-    let q = monomials(rate);
-    let [x, y, z] = rate;
-    let mut value = [0.0; 6];
-    let mut slope = [[0.0; 3]; 6];
-    for ((u, value), slope) in rows.zip(&mut value).zip(&mut slope) {
-        *value = inner(u, &q);
-        *slope = [
-            (u[0] + u[0]) * x + u[4] * z + u[5] * y,
-            (u[1] + u[1]) * y + u[3] * z + u[5] * x,
-            (u[2] + u[2]) * z + u[3] * y + u[4] * x,
-        ];
-    }
-    (value, slope)
+/// Monomials of ω that centripetal acceleration is made of.
+fn monomials(rate: &Vector3<f64>) -> Vector6<f64> {
+    let [x, y, z] = (*rate).into();
+    Vector6::new(x * x, y * y, z * z, y * z, x * z, x * y)
 }
 
-/// Rows of H and K of one axis, equation (70), over its noise; `arm` is the unit of length.
-fn weighted_row(axis: &Axis, centre: &Vector3<f64>, arm: f64) -> (Vector6<f64>, Vector6<f64>) {
+/// Their derivatives.
+fn slopes(rate: &Vector3<f64>) -> Matrix6x3<f64> {
+    let [x, y, z] = (*rate).into();
+    let (x2, y2, z2) = (2.0 * x, 2.0 * y, 2.0 * z);
+    Matrix6x3::from_row_slice(&[
+        x2, 0.0, 0.0, 0.0, y2, 0.0, 0.0, 0.0, z2, 0.0, z, y, z, 0.0, x, y, x, 0.0,
+    ])
+}
+
+/// Mean position, m, weighted by 1/σ², and the root mean square distance from it.
+fn centre_and_arm(axes: &[Axis], used: &[usize]) -> Result<(Vector3<f64>, f64), GeometryError> {
+    let places = || {
+        let used = used.iter().map(|index| &axes[*index]);
+        used.map(|axis| (Vector3::from(axis.position_m), 1.0 / (axis.noise_mps2 * axis.noise_mps2)))
+    };
+    let total: f64 = places().map(|(_, weight)| weight).sum();
+    let centre = places().map(|(place, weight)| place * weight).sum::<Vector3<f64>>() / total;
+    let squares = places().map(|(place, weight)| (place - centre).norm_squared() * weight);
+    let arm = libm::sqrt(squares.sum::<f64>() / total);
+    let farthest = places().map(|(place, _)| place.norm()).fold(0.0, f64::max);
+    if arm > farthest * 1e-9 && arm > 1e-9 {
+        Ok((centre, arm))
+    } else {
+        Err(GeometryError::Coincident)
+    }
+}
+
+/// Rows of H and K of one axis, equation (70); `arm` is the unit of length.
+fn rows(axis: &Axis, centre: &Vector3<f64>, arm: f64) -> (RowVector6<f64>, RowVector6<f64>) {
     let r = (Vector3::from(axis.position_m) - centre) / arm;
     let d = Vector3::from(axis.direction);
     let turn = r.cross(&d);
     let along = d.dot(&r);
-    let h = Vector6::new(turn.x, turn.y, turn.z, d.x, d.y, d.z);
-    let k = Vector6::new(
+    let h = RowVector6::new(turn.x, turn.y, turn.z, d.x, d.y, d.z);
+    let k = RowVector6::new(
         d.x * r.x - along,
         d.y * r.y - along,
         d.z * r.z - along,
@@ -306,7 +269,7 @@ fn weighted_row(axis: &Axis, centre: &Vector3<f64>, arm: f64) -> (Vector6<f64>, 
         d.x * r.z + d.z * r.x,
         d.x * r.y + d.y * r.x,
     );
-    (h / axis.noise_mps2, k / axis.noise_mps2)
+    (h, k)
 }
 
 /// (HᵀQ⁻¹H)⁻¹, or which component does not show; `quadratic` is KᵀQ⁻¹K.
@@ -315,36 +278,20 @@ fn checked_inverse(
     quadratic: &Matrix6<f64>,
 ) -> Result<Matrix6<f64>, GeometryError> {
     let eigen = information.symmetric_eigen();
-    let largest = eigen.eigenvalues.max();
-    let (least, at) = eigen
-        .eigenvalues
-        .iter()
-        .zip(0..)
-        .fold((f64::INFINITY, 0), |best, (v, i)| if *v < best.0 { (*v, i) } else { best });
-    if least > largest * LINEAR_RANK * LINEAR_RANK {
-        return information
-            .cholesky()
-            .map(|factor| factor.inverse())
-            .ok_or(GeometryError::Coincident);
+    let (at, least) = eigen.eigenvalues.argmin();
+    if least > eigen.eigenvalues.max() * LINEAR_RANK * LINEAR_RANK {
+        let factor = information.cholesky().ok_or(GeometryError::Coincident)?;
+        return Ok(factor.inverse());
     }
-    let v = eigen.eigenvectors.column(at).into_owned();
-    let turn = Vector3::new(v[0], v[1], v[2]);
-    let force = Vector3::new(v[3], v[4], v[5]);
+    let direction = eigen.eigenvectors.column(at);
+    let turn: Vector3<f64> = direction.fixed_rows::<3>(0).into();
+    let force: Vector3<f64> = direction.fixed_rows::<3>(3).into();
     if turn.norm() < force.norm() {
         return Err(GeometryError::NoForce { along: force.normalize().into() });
     }
     let about = turn.normalize();
     // On one line along `about`, a turn about it has no arm: its square shows nowhere.
-    let [x, y, z]: [f64; 3] = about.into();
-    let square = Vector6::new(x * x, y * y, z * z, y * z, x * z, x * y);
+    let square = monomials(&about);
     let collinear = square.dot(&(quadratic * square)) < 1e-6 * quadratic.trace();
     Err(GeometryError::NoTurn { about: about.into(), collinear })
-}
-
-fn inner<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    let mut sum = 0.0;
-    for (x, y) in a.iter().zip(b) {
-        sum += *x * *y;
-    }
-    sum
 }

@@ -54,11 +54,11 @@ impl RigidArrayBlocks {
 
 /// Rotation over a step, and the drift of the biases.
 #[derive(Clone, Copy, Debug)]
-pub struct RigidArray<'a, const M: usize> {
+pub struct RigidArray<'a> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<M>,
+    pub solver: &'a ArraySolver,
     /// Density of the noise of the angular acceleration, (rad/s²)²/s.
     pub acceleration_walk: f64,
     /// Density of the noise of the angular rate, (rad/s)²/s.
@@ -74,7 +74,7 @@ pub struct RigidArray<'a, const M: usize> {
     pub step_s: f64,
 }
 
-impl<const M: usize> RigidArray<'_, M> {
+impl RigidArray<'_> {
     fn propagate_rotation(&self, state: &mut State, transition: &mut Transition) {
         let (dt, one) = (self.step_s, Matrix3::identity());
         let (rate, acceleration) = (self.blocks.rate(), self.blocks.acceleration());
@@ -109,10 +109,8 @@ impl<const M: usize> RigidArray<'_, M> {
                 state.set(block, state.get(block) * self.bias_decay);
             }
         }
-        let covariance = self.solver.covariance();
-        let part = |row: usize, column: usize| {
-            Matrix3::from_fn(|i, j| (covariance[row + i][column + j]) * self.bias_variance)
-        };
+        let covariance = self.solver.covariance() * self.bias_variance;
+        let part = |row, column| covariance.fixed_view::<3, 3>(row, column).into_owned();
         transition.add_covariance(first, first, part(0, 0));
         transition.add_covariance(first, second, part(0, 3));
         transition.add_covariance(second, second, part(3, 3));
@@ -123,7 +121,7 @@ impl<const M: usize> RigidArray<'_, M> {
     }
 }
 
-impl<const M: usize> Process for RigidArray<'_, M> {
+impl Process for RigidArray<'_> {
     fn propagate(&self, state: &mut State, transition: &mut Transition) {
         self.propagate_rotation(state, transition);
         self.propagate_biases(state, transition);
@@ -133,11 +131,11 @@ impl<const M: usize> Process for RigidArray<'_, M> {
 /// Velocity and position over half an interval between samples, from the specific force at one end: both halves are the
 /// trapezoidal rule.
 #[derive(Clone, Copy, Debug)]
-pub struct ArrayForce<'a, const M: usize> {
+pub struct ArrayForce<'a> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<M>,
+    pub solver: &'a ArraySolver,
     /// The sample.
     pub linear: &'a Linear,
     /// Gravity, m/s².
@@ -152,14 +150,13 @@ pub struct ArrayForce<'a, const M: usize> {
     pub attitude_covariance: Matrix3<f64>,
 }
 
-impl<const M: usize> Process for ArrayForce<'_, M> {
+impl Process for ArrayForce<'_> {
     fn propagate(&self, state: &mut State, transition: &mut Transition) {
         let (dt, half) = (self.step_s, 0.5);
         let bias = self.blocks.bias.part::<3, 3>();
         let rate = state.get(self.blocks.rate());
-        let (theta, slope) = self.solver.expected_theta(rate.into());
-        let b = state.get(bias);
-        let force = Vector3::from_fn(|i, _| self.linear.theta[3 + i] - theta[3 + i] - b[i]);
+        let (theta, slope) = self.solver.expected_theta(&rate);
+        let force = self.linear.force_mps2() - theta.fixed_rows::<3>(3) - state.get(bias);
         let c = *state.attitude.matrix();
         // Mean of C f to second order of the attitude error, equation (124); the deviation of that term is its size.
         let p = &self.attitude_covariance;
@@ -170,17 +167,14 @@ impl<const M: usize> Process for ArrayForce<'_, M> {
         state.set(POSITION, moved);
         state.set(VELOCITY, velocity + acceleration * dt);
 
-        let by_rate = Matrix3::from_fn(|i, j| slope[3 + i][j]);
+        let by_rate = slope.fixed_rows::<3>(3);
         transition.add(POSITION, VELOCITY, Matrix3::identity() * dt);
         transition.add(VELOCITY, ATTITUDE, (c * force).cross_matrix() * -dt);
         transition.add(VELOCITY, bias, c * -dt);
         transition.add(VELOCITY, self.blocks.rate(), c * by_rate * -dt);
         // The noise of a sample acts in two halves: half the variance of a full step in each.
-        let covariance = self.solver.covariance();
-        let noise = Matrix3::from_fn(|i, j| {
-            let other = if i == j { self.force_variance } else { 0.0 };
-            (covariance[3 + i][3 + j]) * self.noise_factor + other
-        });
+        let declared = self.solver.covariance().fixed_view::<3, 3>(3, 3) * self.noise_factor;
+        let noise = declared + Matrix3::from_diagonal_element(self.force_variance);
         let noise = c * noise * c.transpose() * (dt * dt * 2.0);
         let noise = noise + second * second.transpose() * (dt * SECOND_ORDER_S);
         transition.add_covariance(VELOCITY, VELOCITY, noise);

@@ -34,11 +34,11 @@ pub struct ArrayNoise {
 
 /// A sample, linearised at an angular rate.
 #[derive(Clone, Copy, Debug)]
-pub struct ReducedArray<'a, const M: usize> {
+pub struct ReducedArray<'a> {
     /// Its states.
     pub blocks: &'a RigidArrayBlocks,
     /// Closed form of a sample.
-    pub solver: &'a ArraySolver<M>,
+    pub solver: &'a ArraySolver,
     /// The sample.
     pub linear: &'a Linear,
     /// Its noise.
@@ -47,38 +47,28 @@ pub struct ReducedArray<'a, const M: usize> {
     pub at_rad_s: Vector3<f64>,
 }
 
-impl<const M: usize> ReducedArray<'_, M> {
+impl ReducedArray<'_> {
     /// What an angular rate adds to the measured values, and its derivative.
     fn centripetal(&self, rate: &Vector3<f64>) -> (Measured, Slope) {
-        let (theta, theta_slope) = self.solver.expected_theta((*rate).into());
-        let (z, z_slope) = self.solver.expected_z((*rate).into());
-        let value = Measured::from_fn(|k, _| if k < 3 { theta[k] } else { z[k - 3] });
-        let slope = Slope::from_fn(|k, j| match k {
-            0..3 => theta_slope[k][j],
-            _ => z_slope[k - 3][j],
-        });
+        let (theta, theta_slope) = self.solver.expected_theta(rate);
+        let (z, z_slope) = self.solver.expected_z(rate);
+        let value = Linear { theta, z }.rotation();
+        let mut slope = Slope::zeros();
+        slope.fixed_rows_mut::<3>(0).copy_from(&theta_slope.fixed_rows::<3>(0));
+        slope.fixed_rows_mut::<6>(3).copy_from(&z_slope);
         (value, slope)
     }
 
-    fn measured(&self) -> Measured {
-        let Linear { theta, z } = self.linear;
-        Measured::from_fn(|k, _| if k < 3 { theta[k] } else { z[k - 3] })
-    }
-
     fn covariance(&self) -> Square {
-        let own = self.solver.covariance();
         let mut noise = Square::identity() * self.noise.factor;
-        for i in 0..3 {
-            for j in 0..3 {
-                noise[(i, j)] = own[i][j] * self.noise.factor;
-            }
-            noise[(i, i)] += self.noise.fast;
-        }
+        let own = self.solver.covariance().fixed_view::<3, 3>(0, 0) * self.noise.factor;
+        let fast = Matrix3::from_diagonal_element(self.noise.fast);
+        noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&(own + fast));
         noise
     }
 }
 
-impl<const M: usize> Measurement for ReducedArray<'_, M> {
+impl Measurement for ReducedArray<'_> {
     fn predict(&self, filter: &Filter) -> Prediction {
         let RigidArrayBlocks { rotation, bias, z_bias, lever } = *self.blocks;
         let (value, slope) = self.centripetal(&self.at_rad_s);
@@ -98,7 +88,7 @@ impl<const M: usize> Measurement for ReducedArray<'_, M> {
         by_bias.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         let by_lever = slope * self.at_rad_s.norm();
         Prediction::new(
-            self.measured() - value - slope * (rate - self.at_rad_s) - other,
+            self.linear.rotation() - value - slope * (rate - self.at_rad_s) - other,
             self.covariance(),
         )
         .by(rotation, by_rotation)
@@ -123,7 +113,7 @@ pub struct Prior {
 
 impl Prior {
     /// Of a sample; where it is linearised does not matter. `None` where a covariance is not positive definite.
-    pub fn of<const M: usize>(filter: &Filter, sample: &ReducedArray<'_, M>) -> Option<Self> {
+    pub fn of(filter: &Filter, sample: &ReducedArray<'_>) -> Option<Self> {
         let blocks = sample.blocks;
         let (rate, turn) = (blocks.rate(), blocks.acceleration());
         let (b, z) = (blocks.bias.part::<3, 0>(), blocks.z_bias);
@@ -165,12 +155,8 @@ impl Prior {
     }
 
     /// The maximum of the posterior density near a start: damped Gauss-Newton, equation (97). `None` where it is not finite.
-    pub fn maximum<const M: usize>(
-        &self,
-        sample: &ReducedArray<'_, M>,
-        start: Vector3<f64>,
-    ) -> Option<Vector3<f64>> {
-        let measured = sample.measured() - self.offset;
+    pub fn maximum(&self, sample: &ReducedArray<'_>, start: Vector3<f64>) -> Option<Vector3<f64>> {
+        let measured = sample.linear.rotation() - self.offset;
         let residual = |rate: &Vector3<f64>| {
             let (value, slope) = sample.centripetal(rate);
             let away = rate - self.rate_rad_s;

@@ -1,10 +1,10 @@
 //! Whether the outputs of a moving array are those of one rigid body in its geometry, equation (101).
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DVector, Vector3};
 use wimu_model::STANDARD_GRAVITY_MPS2;
 use wimu_nav::array::ArraySolver;
 
-use super::motion::{axes, check, refused, sample, with_room};
+use super::motion::{axes, check, refused, sample};
 use super::size::SizeTest;
 use super::{Array, ArrayCalibration, ArrayGeometry};
 use crate::{Code, Problem, Result};
@@ -42,15 +42,71 @@ impl Agreement {
     /// Of a recording in body axes; `None` with too few samples in motion, or where motion explains everything.
     ///
     /// # Errors
-    /// `usage` when the numbers of sensors differ or are more than 16; `data_refused` when the geometry shows no angular
-    /// acceleration or specific force.
+    /// `usage` when the numbers of sensors differ; `data_refused` when the geometry shows no angular acceleration or specific
+    /// force.
     pub fn of(
         recording: &Array,
         geometry: &ArrayGeometry,
         calibration: &ArrayCalibration,
     ) -> Result<Option<Self>> {
         check(recording, geometry)?;
-        with_room!(geometry.sensors.len(), agreement(recording, geometry, calibration))
+        let used = |sensor: usize| calibration.uses(sensor);
+        let axes = axes(geometry, &calibration.noise_mps2)?;
+        let solver = ArraySolver::of(&axes, used).map_err(refused)?;
+        let motion = if solver.rank() == 6 { 3 } else { solver.rank() };
+        let degrees = solver.used().saturating_sub(6 + motion);
+        if degrees == 0 {
+            return Ok(None);
+        }
+        let variance = solver.variance_mps2();
+        // Where the sensors differ by less, errors of their scale factors alone look like a contradiction.
+        let scale = calibration.scale * STANDARD_GRAVITY_MPS2;
+        let least_variance = (NOISES * NOISES * variance + scale * scale / CONTRADICTION)
+            .max(LEAST_MPS2 * LEAST_MPS2);
+        let sensors: Vec<usize> = (0..recording.sensors()).filter(|sensor| used(*sensor)).collect();
+        let (mut count, mut unexplained, mut square, mut weights) = (0, 0.0, 0.0, 0.0);
+        let mut by_sensor = vec![0.0; recording.sensors()];
+        let (mut size, mut beyond_noise, mut by_place) = (SizeTest::default(), 0.0, 0.0);
+        for index in (0..recording.len()).filter(|index| !calibration.is_rest(*index)) {
+            let rest = calibration.offset_of(index);
+            let output = sample(recording, calibration, index, rest);
+            if sensors.iter().any(|sensor| output[3 * sensor].is_nan()) {
+                continue;
+            }
+            let moving = Moving::of(&solver, &output);
+            let time_s = recording.times()[index].s();
+            size.push(time_s, recording.period_s(), moving.rate);
+            let between_sensors = variance_between(&output, &sensors);
+            if between_sensors < least_variance {
+                continue;
+            }
+            let left = moving.residuals.norm_squared() / degrees as f64;
+            let weight = 1.0 / left.max(1.0);
+            (count, weights) = (count + 1, weights + weight);
+            square += weight * left;
+            if let Some([rate, acceleration]) = moving.rate {
+                beyond_noise += (left - 1.0) * variance;
+                by_place += (rate.norm_squared().powi(2) + acceleration.norm_squared()) / 1.5;
+            }
+            let noise_ratio = between_sensors / variance;
+            unexplained += left / noise_ratio;
+            for (axis, residual) in moving.residuals.iter().enumerate() {
+                by_sensor[axis / 3] += residual * residual / noise_ratio;
+            }
+        }
+        let worst = (0..by_sensor.len()).max_by(|a, b| by_sensor[*a].total_cmp(&by_sensor[*b]));
+        Ok((count >= LEAST_SAMPLES).then(|| Self {
+            samples: count,
+            unexplained: unexplained / count as f64,
+            unexplained_mps2: (square / weights * variance).sqrt(),
+            worst: worst.unwrap_or(0),
+            size: size.bounds(),
+            place: if by_place > 0.0 {
+                ((beyond_noise / by_place).max(0.0).sqrt(), degrees)
+            } else {
+                (0.0, 0)
+            },
+        }))
     }
 
     /// Standard deviation of a coordinate of the positions, m: at most that stated, which counts as one more residual.
@@ -106,72 +162,8 @@ pub(super) fn contradiction(name: &str, what: &str) -> Problem {
     .at(name)
 }
 
-fn agreement<const M: usize>(
-    recording: &Array,
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-) -> Result<Option<Agreement>> {
-    let used = |sensor: usize| calibration.uses(sensor);
-    let axes = axes::<M>(geometry, calibration)?;
-    let solver = ArraySolver::<M>::of(&axes, used).map_err(refused)?;
-    let motion = if solver.rank() == 6 { 3 } else { solver.rank() };
-    let degrees = solver.used().saturating_sub(6 + motion);
-    if degrees == 0 {
-        return Ok(None);
-    }
-    let variance = solver.variance_mps2();
-    // Where the sensors differ by less, errors of their scale factors alone look like a contradiction.
-    let scale = calibration.scale * STANDARD_GRAVITY_MPS2;
-    let least_variance =
-        (NOISES * NOISES * variance + scale * scale / CONTRADICTION).max(LEAST_MPS2 * LEAST_MPS2);
-    let sensors: Vec<usize> = (0..recording.sensors()).filter(|sensor| used(*sensor)).collect();
-    let (mut count, mut unexplained, mut square, mut weights) = (0, 0.0, 0.0, 0.0);
-    let mut by_sensor = vec![0.0; recording.sensors()];
-    let (mut size, mut beyond_noise, mut by_place) = (SizeTest::default(), 0.0, 0.0);
-    for index in (0..recording.len()).filter(|index| !calibration.is_rest(*index)) {
-        let rest = calibration.offset_of(index);
-        let output = sample::<M>(recording, calibration, index, rest);
-        if sensors.iter().any(|sensor| output[3 * sensor].is_nan()) {
-            continue;
-        }
-        let moving = Moving::of(&solver, &output);
-        let time_s = recording.times()[index].s();
-        size.push(time_s, recording.period_s(), moving.rate);
-        let between_sensors = variance_between(&output, &sensors);
-        if between_sensors < least_variance {
-            continue;
-        }
-        let left = moving.residuals.iter().map(|r| r * r).sum::<f64>() / degrees as f64;
-        let weight = 1.0 / left.max(1.0);
-        (count, weights) = (count + 1, weights + weight);
-        square += weight * left;
-        if let Some([rate, acceleration]) = moving.rate {
-            beyond_noise += (left - 1.0) * variance;
-            by_place += (rate.norm_squared().powi(2) + acceleration.norm_squared()) / 1.5;
-        }
-        let noise_ratio = between_sensors / variance;
-        unexplained += left / noise_ratio;
-        for (axis, residual) in moving.residuals.iter().enumerate().take(3 * by_sensor.len()) {
-            by_sensor[axis / 3] += residual * residual / noise_ratio;
-        }
-    }
-    let worst = (0..by_sensor.len()).max_by(|a, b| by_sensor[*a].total_cmp(&by_sensor[*b]));
-    Ok((count >= LEAST_SAMPLES).then(|| Agreement {
-        samples: count,
-        unexplained: unexplained / count as f64,
-        unexplained_mps2: (square / weights * variance).sqrt(),
-        worst: worst.unwrap_or(0),
-        size: size.bounds(),
-        place: if by_place > 0.0 {
-            ((beyond_noise / by_place).max(0.0).sqrt(), degrees)
-        } else {
-            (0.0, 0)
-        },
-    }))
-}
-
 /// Variance between the sensors, mean over the axes, (m/s²)².
-fn variance_between<const M: usize>(output: &[f64; M], sensors: &[usize]) -> f64 {
+fn variance_between(output: &[f64], sensors: &[usize]) -> f64 {
     let count = sensors.len() as f64;
     let of_axis = |axis: usize| {
         let values = || sensors.iter().map(|sensor| output[3 * sensor + axis]);
@@ -182,32 +174,31 @@ fn variance_between<const M: usize>(output: &[f64; M], sensors: &[usize]) -> f64
 }
 
 /// A sample in motion.
-struct Moving<const M: usize> {
+struct Moving {
     /// What no motion explains of each output, over its noise.
-    residuals: [f64; M],
+    residuals: DVector<f64>,
     /// ω up to its sign, rad/s, and ω̇, rad/s²; `None` where ω is not observed.
     rate: Option<[Vector3<f64>; 2]>,
 }
 
-impl<const M: usize> Moving<M> {
-    fn of(solver: &ArraySolver<M>, output: &[f64; M]) -> Self {
+impl Moving {
+    fn of(solver: &ArraySolver, output: &[f64]) -> Self {
         let linear = solver.reduce(output);
         let best = solver.roots_of(&linear).first().copied().filter(|_| solver.rank() == 6);
         let Some(best) = best else {
             return Self { residuals: solver.residuals(output, &linear, &linear.z), rate: None };
         };
         let excess = solver.excess(output, &linear).unwrap_or(1.0).max(1.0);
-        let rate = Vector3::from(best.rate_rad_s);
-        let covariance = Matrix3::from(best.information).try_inverse();
+        let (rate, covariance) = (best.rate_rad_s, best.information.try_inverse());
         let observed = covariance.is_some_and(|covariance| {
             let largest = covariance.symmetric_eigenvalues().max() * excess;
             rate.norm_squared() > OBSERVED_SD * OBSERVED_SD * largest
         });
-        let [x, y, z, ..] = solver.theta(&linear, best.rate_rad_s);
-        let (explained, _) = solver.expected_z(best.rate_rad_s);
+        let turn = solver.theta(&linear, &rate).fixed_rows::<3>(0).into_owned();
+        let (explained, _) = solver.expected_z(&rate);
         Self {
             residuals: solver.residuals(output, &linear, &explained),
-            rate: observed.then_some([rate, Vector3::new(x, y, z)]),
+            rate: observed.then_some([rate, turn]),
         }
     }
 }

@@ -109,7 +109,7 @@ impl ArrayCalibration {
     ///
     /// # Errors
     /// `data_refused` when there is no rest at all, or no sensor is alive; `usage` when the geometry has
-    /// another number of sensors, or more than 16.
+    /// another number of sensors.
     pub fn of(recording: &Array, geometry: &ArrayGeometry, gravity: Gravity) -> Result<Self> {
         check(recording, geometry)?;
         let sensors = recording.sensors();
@@ -427,8 +427,8 @@ impl ArrayCalibration {
 fn without_rest(turns: bool) -> Problem {
     let (message, remedy) = if turns {
         (
-            "the array rotates at a constant rate wherever its sensors are steady: without a rest neither biases nor gravity are observable",
-            "hold the array still for two seconds, in several orientations; check the places of the sensors",
+            "wherever its sensors are steady they differ as in a rotation at a constant rate, or contradict each other: without a rest neither biases nor gravity are observable",
+            "hold the array still for two seconds, in several orientations; if it was, check places, signs and directions of the sensors",
         )
     } else {
         (

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use wimu_model::ErrorModel;
-use wimu_nav::array::{Geometry, GeometryError};
 
 use crate::calibration::{Calibration, Correction};
 use crate::formats::table::{LENGTH, MeasuredColumn, Measurements};
@@ -262,16 +261,41 @@ fn places(table: &Measurements) -> Result<Vec<[f64; 3]>> {
     (0..table.len()).map(|row| place([x, y, z].map(|column| (row, column)))).collect()
 }
 
+/// Four triads at alternate corners of a cube: the smallest set whose angular rate has two roots only.
+const FOUR: [[f64; 3]; 4] =
+    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
+/// Six triads on the axes.
+const OCTAHEDRON: [[f64; 3]; 6] = [
+    [1.0, 0.0, 0.0],
+    [-1.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0],
+    [0.0, -1.0, 0.0],
+    [0.0, 0.0, 1.0],
+    [0.0, 0.0, -1.0],
+];
+/// Eight triads on both sides of a square board, as on a MIMU4444: pairs at its corners, above and below in turn.
+const BOARD: [[f64; 3]; 8] = [
+    [-1.0, 1.0, 1.0],
+    [-1.0, 1.0, -1.0],
+    [-1.0, -1.0, 1.0],
+    [-1.0, -1.0, -1.0],
+    [1.0, 1.0, 1.0],
+    [1.0, 1.0, -1.0],
+    [1.0, -1.0, 1.0],
+    [1.0, -1.0, -1.0],
+];
+
 /// The geometry of a name such as `four:30mm`, `octahedron:0.03m` or `board:9.5mm,2mm`; `None` where it is no name of one.
 fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
     let (name, lengths) = text.split_once(':')?;
     let lengths: Option<Vec<f64>> = lengths.split(',').map(metres).collect();
-    let places: Vec<[f64; 3]> = match (name, lengths.as_deref()) {
-        ("four", Some([arm])) => triads(Geometry::<12>::four_triads(*arm, 1.0)),
-        ("octahedron", Some([arm])) => triads(Geometry::<18>::octahedron(*arm, 1.0)),
-        ("board", Some([side, thickness])) => {
-            triads(Geometry::<24>::eight_triads_board(*side, *thickness, 1.0))
-        }
+    let triads = |places: &[[f64; 3]], [x, y, z]: [f64; 3]| -> Vec<[f64; 3]> {
+        places.iter().map(|place| [place[0] * x, place[1] * y, place[2] * z]).collect()
+    };
+    let places = match (name, lengths.as_deref()) {
+        ("four", Some([arm])) => triads(&FOUR, [arm / 3_f64.sqrt(); 3]),
+        ("octahedron", Some([arm])) => triads(&OCTAHEDRON, [*arm; 3]),
+        ("board", Some([side, thickness])) => triads(&BOARD, [*side, *side, *thickness]),
         // A name of a file.
         (name, None) if !["four", "octahedron", "board"].contains(&name) => return None,
         _ => {
@@ -282,14 +306,6 @@ fn preset(text: &str) -> Option<Result<ArrayGeometry>> {
         }
     };
     Some(Ok(ArrayGeometry::at(&places)))
-}
-
-/// Positions of the triads of an arrangement of positive lengths.
-fn triads<const M: usize>(
-    geometry: std::result::Result<Geometry<M>, GeometryError>,
-) -> Vec<[f64; 3]> {
-    let axes = geometry.iter().flat_map(|geometry| geometry.axes().iter().step_by(3));
-    axes.map(|axis| axis.position_m).collect()
 }
 
 /// `100mm` or `0.1m`, positive.

@@ -13,20 +13,6 @@ use crate::{Code, Problem, Result};
 /// other: χ² with three degrees of freedom, probability 10⁻³.
 const CONTRADICTS: f64 = 16.3;
 
-/// Calls a function for the room that the sensors need.
-macro_rules! with_room {
-    ($sensors:expr, $function:ident ( $($argument:expr),* )) => {
-        match $sensors {
-            0..=4 => $function::<12>($($argument),*),
-            5..=8 => $function::<24>($($argument),*),
-            9..=16 => $function::<48>($($argument),*),
-            many => Err($crate::Code::Usage
-                .error(format!("{many} sensors are more than 16"), "leave some out")),
-        }
-    };
-}
-pub(super) use with_room;
-
 /// A recording of an array in body axes ([`Array::arranged`]) with its geometry and calibration.
 #[derive(Debug)]
 pub struct ArrayBody<'a> {
@@ -61,8 +47,7 @@ impl<'a> ArrayBody<'a> {
         gravity_mps2: f64,
         zupt: Zupt,
     ) -> Result<(Vec<ArrayState>, Vec<String>)> {
-        let sensors = self.geometry.sensors.len();
-        let pass = with_room!(sensors, filtered(self, gravity_mps2, zupt, false))?;
+        let pass = filtered(self, gravity_mps2, zupt, false)?;
         let remarks = pass.remarks(zupt, self.calibration);
         Ok((pass.states, remarks))
     }
@@ -79,8 +64,7 @@ impl<'a> ArrayBody<'a> {
         gravity_mps2: f64,
         zupt: Zupt,
     ) -> Result<()> {
-        let sensors = self.geometry.sensors.len();
-        let mut reversed = with_room!(sensors, filtered(self, gravity_mps2, zupt, true))?;
+        let mut reversed = filtered(self, gravity_mps2, zupt, true)?;
         reversed.states.reverse();
         for (state, other) in states.iter_mut().zip(&reversed.states) {
             let other = (-Vector3::from(other.rate_rad_s), other.rate_covariance.into());
@@ -142,19 +126,8 @@ pub(super) fn refused(message: impl ToString) -> Problem {
     )
 }
 
-/// The axes as the solver wants them: those of sensor k at 3 k.
-pub(super) fn axes<const M: usize>(
-    geometry: &ArrayGeometry,
-    calibration: &ArrayCalibration,
-) -> Result<Geometry<M>> {
-    axes_of(geometry, &calibration.noise_mps2)
-}
-
-/// The same for a given noise of each sensor, m/s².
-pub(super) fn axes_of<const M: usize>(
-    geometry: &ArrayGeometry,
-    noise_mps2: &[f64],
-) -> Result<Geometry<M>> {
+/// The axes as the solver wants them, those of sensor k at 3 k, for a noise of each sensor, m/s².
+pub(super) fn axes(geometry: &ArrayGeometry, noise_mps2: &[f64]) -> Result<Geometry> {
     let sensors = geometry.sensors.iter().zip(noise_mps2);
     let axes = sensors.flat_map(|(sensor, noise)| {
         (0..3).map(|axis| Axis {
@@ -163,29 +136,25 @@ pub(super) fn axes_of<const M: usize>(
             noise_mps2: *noise,
         })
     });
-    Geometry::from_grouped_axes(&axes.collect::<Vec<_>>(), 3).map_err(refused)
+    Geometry::new(axes, 3).map_err(refused)
 }
 
 /// One sample of all axes, corrected, without what the sensors added at rest `rest`; a sensor that is not used or at its limit
 /// is not a number.
-pub(super) fn sample<const M: usize>(
+pub(super) fn sample(
     recording: &Array,
     calibration: &ArrayCalibration,
     index: usize,
     rest: usize,
-) -> [f64; M] {
-    let mut output = [0.0; M];
-    for sensor in 0..recording.sensors() {
-        let is_used = calibration.uses(sensor) && !recording.is_saturated(index, sensor);
-        let output_mps2 = recording.output(index, sensor);
-        let force = if is_used {
-            calibration.force_since(sensor, output_mps2, rest)
+) -> Vec<f64> {
+    let force = |sensor: usize| {
+        if calibration.uses(sensor) && !recording.is_saturated(index, sensor) {
+            calibration.force_since(sensor, recording.output(index, sensor), rest)
         } else {
             [f64::NAN; 3]
-        };
-        output[3 * sensor..3 * sensor + 3].copy_from_slice(&force);
-    }
-    output
+        }
+    };
+    (0..recording.sensors()).flat_map(force).collect()
 }
 
 /// Whether the rate may be zero: within three of its deviations.
@@ -211,14 +180,9 @@ struct Pass {
 }
 
 /// Runs the filter over the recording, or over the same in reversed time.
-fn filtered<const M: usize>(
-    body: &ArrayBody<'_>,
-    gravity_mps2: f64,
-    zupt: Zupt,
-    reversed: bool,
-) -> Result<Pass> {
+fn filtered(body: &ArrayBody<'_>, gravity_mps2: f64, zupt: Zupt, reversed: bool) -> Result<Pass> {
     let (recording, calibration) = (body.recording, body.calibration);
-    let axes = axes::<M>(body.geometry, calibration)?;
+    let axes = axes(body.geometry, &calibration.noise_mps2)?;
     let used = (0..recording.sensors()).filter(|sensor| calibration.uses(*sensor)).count();
     let config = ArrayConfig {
         gravity_mps2,
@@ -235,7 +199,7 @@ fn filtered<const M: usize>(
         delay_sd_s: calibration.delay_sd_s,
         ..ArrayConfig::default()
     };
-    let mut filter = ArrayFilter::<M>::new(axes, config).map_err(refused)?;
+    let mut filter = ArrayFilter::new(axes, config).map_err(refused)?;
     let (times, count) = (recording.times(), recording.len());
     let order = |k: usize| if reversed { count - 1 - k } else { k };
     let mut pass = Pass {
@@ -261,7 +225,7 @@ fn filtered<const M: usize>(
         }
         let time = times[index];
         let step_s = time.since_s(last).abs();
-        let pushed = filter.push(step_s, &sample::<M>(recording, calibration, index, offset));
+        let pushed = filter.push(step_s, &sample(recording, calibration, index, offset));
         last = time;
         match pushed {
             Ok(absent) => {

@@ -1,14 +1,14 @@
 //! Which steady stretches of an array's mean output are rests: an array that turns evenly about the
 //! vertical has a steady mean too, equation (100).
 
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3};
 use wimu_nav::array::ArraySolver;
 
-use super::motion::{axes_of, with_room};
+use super::motion::axes;
 use super::outputs::{Span, mean, pose};
 use super::{Array, ArrayGeometry};
 use crate::Result;
-use crate::stats::{median, norm};
+use crate::stats::median;
 
 /// Length of a block, s.
 const BLOCK_S: f64 = 0.1;
@@ -46,33 +46,20 @@ pub(super) struct Judged {
     pub unseen_rad_s: Option<f64>,
 }
 
-/// Judges stretches in which the mean of the sensors is steady by what the sensors that are `used` put
-/// out there among each other.
-///
-/// # Errors
-/// `usage` for more than 16 sensors.
-pub(super) fn judged(
-    recording: &Array,
-    geometry: &ArrayGeometry,
-    stretches: &[Span],
-    used: &[bool],
-) -> Result<Judged> {
-    with_room!(geometry.sensors.len(), judge(recording, geometry, stretches, used))
-}
-
 /// Mean of all axes over a stretch; an axis without a value has 0.
-struct Mean<const M: usize> {
-    output: [f64; M],
+struct Mean {
+    output: DVector<f64>,
     variance: f64,
     samples: f64,
 }
 
-impl<const M: usize> Mean<M> {
+impl Mean {
     fn of(recording: &Array, span: Span, used: &[bool]) -> Self {
-        let (mut output, mut variance, mut count) = ([0.0; M], 0.0, 0.0);
+        let mut output = DVector::zeros(3 * used.len());
+        let (mut variance, mut count) = (0.0, 0.0);
         for sensor in (0..used.len()).filter(|s| used[*s]) {
             if let Some(pose) = pose(recording, sensor, span) {
-                output[3 * sensor..3 * sensor + 3].copy_from_slice(&pose.mean_mps2);
+                output.rows_mut(3 * sensor, 3).copy_from_slice(&pose.mean_mps2);
                 variance += pose.sd_mps2[0].powi(2);
                 count += 1.0;
             }
@@ -83,22 +70,20 @@ impl<const M: usize> Mean<M> {
     /// Mean of the sensors.
     fn force(&self, used: &[bool]) -> Vector3<f64> {
         let sensors = (0..used.len()).filter(|s| used[*s]);
-        mean(sensors.map(|s| Vector3::from_column_slice(&self.output[3 * s..3 * s + 3])))
+        mean(sensors.map(|s| self.output.fixed_rows::<3>(3 * s).into_owned()))
     }
 }
 
-fn minus<const N: usize>(a: [f64; N], b: [f64; N]) -> [f64; N] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn judge<const M: usize>(
+/// Judges stretches in which the mean of the sensors is steady by what the sensors that are `used` put
+/// out there among each other.
+pub(super) fn judged(
     recording: &Array,
     geometry: &ArrayGeometry,
     stretches: &[Span],
     used: &[bool],
 ) -> Result<Judged> {
-    let axes = axes_of::<M>(geometry, &vec![1.0; geometry.sensors.len()])?;
-    let solver = match ArraySolver::<M>::of(&axes, |sensor| used[sensor]) {
+    let axes = axes(geometry, &vec![1.0; geometry.sensors.len()])?;
+    let solver = match ArraySolver::of(&axes, |sensor| used[sensor]) {
         Ok(solver) if solver.rank() > 0 => solver,
         // What is missing is said where the motion is looked for.
         _ => {
@@ -107,27 +92,27 @@ fn judge<const M: usize>(
     };
     let spans: Vec<Span> =
         stretches.iter().flat_map(|stretch| steady(recording, &solver, *stretch, used)).collect();
-    let means: Vec<Mean<M>> = spans.iter().map(|span| Mean::of(recording, *span, used)).collect();
+    let means: Vec<Mean> = spans.iter().map(|span| Mean::of(recording, *span, used)).collect();
     // What one rest's departures show beyond what the biases explain.
-    let turn = |departure: [f64; M], variance: f64| -> Option<f64> {
-        let linear = solver.reduce(&departure);
-        let apart = solver.excess(&departure, &linear).unwrap_or(0.0);
+    let turn = |departure: &DVector<f64>, variance: f64| -> Option<f64> {
+        let departure = departure.as_slice();
+        let linear = solver.reduce(departure);
+        let apart = solver.excess(departure, &linear).unwrap_or(0.0);
         let roots = solver.roots_of(&linear);
         let best = roots.first()?;
-        let all: f64 = linear.z.iter().map(|z| z * z).sum();
-        let explained = all - best.chi_square;
-        (explained > TURNS * variance.max(apart)).then(|| norm(best.rate_rad_s))
+        let explained = linear.z.norm_squared() - best.chi_square;
+        (explained > TURNS * variance.max(apart)).then(|| best.rate_rad_s.norm())
     };
-    let of_rest = |mean: &Mean<M>| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
+    let of_rest = |mean: &Mean| REST_BIAS_MPS2.powi(2) + mean.variance / mean.samples;
     let unknown = |force: Vector3<f64>| BIAS_MPS2.powi(2) + (SCALE * force.norm()).powi(2);
     let mut judged = Judged::default();
     for (span, one) in spans.iter().zip(&means) {
         let force = one.force(used);
-        let by_itself = turn(one.output, unknown(force) + of_rest(one));
+        let by_itself = turn(&one.output, unknown(force) + of_rest(one));
         let against = means.iter().filter_map(|other| {
             let scale = SCALE * (force - other.force(used)).norm();
             let variance = of_rest(one) + of_rest(other) + scale * scale;
-            turn(minus(one.output, other.output), variance)
+            turn(&(&one.output - &other.output), variance)
         });
         match by_itself.into_iter().chain(against).reduce(f64::max) {
             Some(rate_rad_s) => judged.turns.push(EvenTurn { span: *span, rate_rad_s }),
@@ -136,8 +121,8 @@ fn judge<const M: usize>(
     }
     if let Some(first) = means.first() {
         let force = first.force(used);
-        let (z, _) = solver.expected_z((force / force.norm().max(1e-9)).into());
-        let shown = norm(z).max(1e-12);
+        let (z, _) = solver.expected_z(&(force / force.norm().max(1e-9)));
+        let shown = z.norm().max(1e-12);
         let variance = if means.len() > 1 { 2.0 * of_rest(first) } else { unknown(force) };
         judged.unseen_rad_s = Some(((TURNS * variance).sqrt() / shown).sqrt());
     }
@@ -145,42 +130,39 @@ fn judge<const M: usize>(
 }
 
 /// The parts of a stretch in which the sensors agree with each other in the same way.
-fn steady<const M: usize>(
+fn steady(
     recording: &Array,
-    solver: &ArraySolver<M>,
+    solver: &ArraySolver,
     (first, count): Span,
     used: &[bool],
 ) -> Vec<Span> {
     let length = ((BLOCK_S / recording.period_s()).ceil() as usize).max(BLOCK_SAMPLES);
-    let blocks: Vec<Mean<M>> = (0..count / length)
+    let blocks: Vec<Mean> = (0..count / length)
         .map(|b| Mean::of(recording, (first + b * length, length), used))
         .collect();
     let Some(noise) = median(blocks.iter().map(|b| b.variance)) else {
         return vec![(first, count)];
     };
     let variance = BLOCK_BIAS_MPS2.powi(2) + noise / length as f64;
-    let differs = |a: &[f64; M], b: &[f64; M], variance: f64| {
-        let linear = solver.reduce(&minus(*a, *b));
-        let covariance = solver.covariance();
-        let turn = (0..3).map(|i| linear.theta[i].powi(2) / covariance[i][i]);
-        linear.z.iter().map(|z| z * z).sum::<f64>() + turn.sum::<f64>() > CHANGED * variance
+    let differs = |a: &DVector<f64>, b: &DVector<f64>, variance: f64| {
+        let linear = solver.reduce((a - b).as_slice());
+        let turn = (0..3).map(|i| linear.theta[i].powi(2) / solver.covariance()[(i, i)]);
+        linear.z.norm_squared() + turn.sum::<f64>() > CHANGED * variance
     };
     // Runs of blocks, and the mean of each.
-    let mut runs: Vec<(usize, usize, [f64; M])> = Vec::new();
+    let mut runs: Vec<(usize, usize, DVector<f64>)> = Vec::new();
     for (at, block) in blocks.iter().enumerate() {
         if let Some((begin, end, mean)) = runs.last_mut() {
             let n = (*end - *begin) as f64;
             let alike = !differs(&block.output, mean, variance * (1.0 + 1.0 / n))
                 && !differs(&block.output, &blocks[*begin].output, 2.0 * variance);
             if alike {
-                for (mean, value) in mean.iter_mut().zip(&block.output) {
-                    *mean += (value - *mean) / (n + 1.0);
-                }
+                *mean += (&block.output - &*mean) / (n + 1.0);
                 *end = at + 1;
                 continue;
             }
         }
-        runs.push((at, at + 1, block.output));
+        runs.push((at, at + 1, block.output.clone()));
     }
     if let [_] = runs[..] {
         return vec![(first, count)];

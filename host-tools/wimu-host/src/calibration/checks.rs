@@ -4,15 +4,15 @@ use std::cmp::Ordering;
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{
-    Covariance, Estimate, Face, Gravity, Method, MultiPosition, Parameter, Parameters, Pose,
-    Reason, Refusal, Term, UnitHint, multi_position,
+    Covariance, Estimate, Face, Gravity, MultiPosition, Parameter, Parameters, Pose, Reason,
+    Refusal, Sides, Term, UnitHint, multi_position,
 };
-use wimu_model::{ErrorTerms, STANDARD_GRAVITY_MPS2};
+use wimu_model::{CalibrationMethod, ErrorTerms, STANDARD_GRAVITY_MPS2};
 
 use super::poses::{Poses, median_magnitude, range_note, rms};
 use super::report::{AXES, Criterion, Grade, names};
 use super::solution::Solution;
-use super::{Datasheet, MethodChoice, ModelChoice, Source, magnitude, median, nested};
+use super::{Datasheet, Source, magnitude, median, nested, steps};
 use crate::digits::significant;
 use crate::plural::counted;
 use crate::recording::{OutputUnit, RateSource, Samples};
@@ -56,14 +56,8 @@ fn wrong_unit(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Ref
         return None;
     }
     let mean_mps2 = median_magnitude(data) * found.scale;
-    let typical = Pose::from_mean([mean_mps2, 0.0, 0.0]);
-    let priors = MultiPosition { priors: true, ..MultiPosition::default() };
-    match multi_position(&[typical; 4], gravity, priors) {
-        Err(Refusal { reason: Reason::Unit { hint, .. }, .. }) => {
-            Some(Refusal::unexpected_magnitude(mean_mps2, hint))
-        }
-        _ => None,
-    }
+    let hint = UnitHint::of(mean_mps2, gravity.mps2())?;
+    Some(Refusal::unexpected_magnitude(mean_mps2, hint))
 }
 
 /// A magnitude at rest that a wrong sensitivity explains, or one that is the same in every pose.
@@ -128,7 +122,7 @@ impl Solution<'_> {
         if poses.len() == 1 && !self.data.poses {
             return text + " For the noise of a sensor at rest use `wimu allan`.";
         }
-        if options.method != MethodChoice::MultiPosition {
+        if options.method != CalibrationMethod::MultiPosition {
             return text;
         }
         if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
@@ -138,8 +132,7 @@ impl Solution<'_> {
             return text;
         }
         let with_priors = MultiPosition { priors: true, ..options.multi_position() };
-        if options.model != ModelChoice::Auto
-            && multi_position(poses, self.fitting.gravity, with_priors).is_ok()
+        if !options.model.priors && multi_position(poses, self.fitting.gravity, with_priors).is_ok()
         {
             return text + " --model auto holds what they do not determine at typical tolerances.";
         }
@@ -168,7 +161,7 @@ impl Solution<'_> {
             let terms = what.terms.iter().chain(more.iter().copied()).collect();
             let what = MultiPosition { terms, ..what };
             let fit = multi_position(&self.poses, self.fitting.gravity, what).ok()?;
-            let is_new = terms != self.options.terms && fit.dof >= MIN_REDUNDANCY;
+            let is_new = terms != self.options.model.terms && fit.dof >= MIN_REDUNDANCY;
             is_new.then_some((name, effect, fit.loo_rms_mps2))
         });
         let (name, effect, _) =
@@ -180,7 +173,8 @@ impl Solution<'_> {
     pub fn problems(&self, estimate: Option<&Estimate>, shows_axes: bool) -> Vec<Problem> {
         let (data, options) = (self.data, self.options);
         let mut problems = data.findings();
-        if data.rate.is_some() && (data.poses || options.method != MethodChoice::MultiPosition) {
+        if data.rate.is_some() && (data.poses || options.method != CalibrationMethod::MultiPosition)
+        {
             let text =
                 "the gyroscope is not calibrated: multi-position does it with continuous samples";
             problems.push(Code::Uncalibrated.note(text));
@@ -201,7 +195,7 @@ impl Solution<'_> {
         let changed = nested::finding(&self.poses, estimate, refit, time_s);
         problems.extend(changed.or_else(|| self.residuals(estimate)));
         problems.extend(self.of_boards());
-        let has_sides = options.method == MethodChoice::SixPosition && options.sides.is_some();
+        let has_sides = options.method == CalibrationMethod::SixPosition && options.sides.is_some();
         if !shows_axes && !has_sides {
             let text = "swapped, mirrored or inverted axes cannot be detected";
             let remedy = "to detect them use --method six-position --sides, or record a gyroscope";
@@ -243,7 +237,7 @@ impl Solution<'_> {
 
     /// What rotations about level axes cannot observe.
     fn unobserved_by_rotations(&self, estimate: &Estimate) -> Vec<Problem> {
-        let Some(steps) = self.options.method.steps() else { return Vec::new() };
+        let Some(steps) = steps(self.options.method) else { return Vec::new() };
         let mut problems = Vec::new();
         let biases = [Parameter::BiasX, Parameter::BiasY, Parameter::BiasZ];
         if let Some(axis) = biases.into_iter().position(|bias| !estimate.fitted.contains(bias)) {
@@ -272,8 +266,10 @@ impl Solution<'_> {
     fn residuals(&self, estimate: &Estimate) -> Option<Problem> {
         let rms = estimate.fitted_rms_mps2 * 1e3;
         let most = match estimate.method {
-            Method::FourAngle | Method::ThreeAngle => SUSPICIOUS_OF_TURNS_RMS_MM_S2,
-            Method::MultiPosition => most_rms_mm_s2(&self.poses, estimate),
+            CalibrationMethod::FourAngle | CalibrationMethod::ThreeAngle => {
+                SUSPICIOUS_OF_TURNS_RMS_MM_S2
+            }
+            CalibrationMethod::MultiPosition => most_rms_mm_s2(&self.poses, estimate),
             _ => SUSPICIOUS_RMS_MM_S2,
         };
         (rms > most).then(|| {
@@ -383,8 +379,8 @@ fn not_fitted(estimate: &Estimate) -> Vec<Problem> {
 /// Errors of the placement and the repeatability of known orientations.
 fn placement(poses: &[Pose], estimate: &Estimate) -> Vec<Problem> {
     let mut problems = Vec::new();
-    let Method::SixPosition { placement_sd_rad, declared_sd_rad, revisit_sd_mps2, revisits } =
-        estimate.method
+    let Some(Sides { placement_sd_rad, declared_sd_rad, revisit_sd_mps2, revisits }) =
+        estimate.sides
     else {
         return problems;
     };

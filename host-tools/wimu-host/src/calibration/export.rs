@@ -8,7 +8,7 @@ use super::{Calibration, SensorCalibration, Source, parameter_id};
 use crate::csv::AccelerationUnit;
 use wimu_model::{Alignment, Matrix3};
 
-pub use noise::{KalibrNoise, KalibrTerms};
+pub use noise::KalibrNoise;
 
 use super::poses::range_note;
 use crate::{Code, Problem, Result};
@@ -35,7 +35,7 @@ pub enum ExportTarget {
 /// use wimu_model::{ParameterSet, Sensitivity};
 ///
 /// let set = ParameterSet::uncalibrated(2, Sensitivity::from_lsb_per_g(16384.0).unwrap());
-/// let export = CalibrationExport::new(&Calibration::new(&set, &[], "poses.csv"));
+/// let export = CalibrationExport::new(&Calibration::held(&set));
 /// assert!(export.text(ExportTarget::C, None).contains("void wimu_correct("));
 /// assert!(export.findings(ExportTarget::Ros).is_empty());
 /// ```
@@ -79,7 +79,7 @@ impl CalibrationExport {
     }
 
     /// The calibration as a text for `target`. Only Kalibr's has the noise.
-    pub fn text(&self, target: ExportTarget, noise: Option<KalibrNoise>) -> String {
+    pub fn text(&self, target: ExportTarget, noise: Option<&KalibrNoise>) -> String {
         // The beginning of a comment; what opens a list, separates the rows of a matrix, and closes a list.
         let (template, comment, list) = match target {
             ExportTarget::C => (include_str!("export/wimu_calibration.h"), " * ", ["{", ", ", "}"]),

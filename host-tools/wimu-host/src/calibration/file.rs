@@ -132,60 +132,29 @@ impl Calibration {
         Self { schema: Self::SCHEMA.to_owned(), device: None, sensors: vec![sensor], path: None }
     }
 
-    /// Of `set`, whose accelerometer was calibrated with the data of the sessions `before` and, if it has more poses, with
-    /// those of `source`.
-    pub fn new(set: &ParameterSet, before: &[Session], source: &str) -> Self {
-        let quality = set.quality.as_ref().map(CalibrationQuality::terms);
-        let (poses, known) = (quality.map_or(0, |terms| terms.poses), total(before));
-        let mut sessions = before.to_vec();
-        if poses > known {
-            sessions.push(Session {
-                utc_s: quality.and_then(|terms| terms.utc_s),
-                file: Some(source.to_owned()),
-                poses: poses - known,
-            });
-        }
+    /// Of a set that a board or a recording holds.
+    pub fn held(set: &ParameterSet) -> Self {
+        let quality = set.quality.iter().map(CalibrationQuality::terms);
+        let session =
+            |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
+        let accelerometer = AccelerometerCalibration {
+            unit: AccelerationUnit::Lsb,
+            range_g: Some(set.range_g),
+            range_source: None,
+            sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
+            zero_count: None,
+            model: set.model,
+            quality: set.quality.as_ref().map(Quality::from),
+            sessions: quality.map(session).collect(),
+        };
         Self::of(SensorCalibration {
             index: set.sensor_index,
             alignment: set.alignment,
             alignment_covariance: set.alignment_covariance,
             gyroscope: set.gyroscope,
             magnetometer: set.magnetometer,
-            ..SensorCalibration::new(
-                set.sensor,
-                AccelerometerCalibration {
-                    unit: AccelerationUnit::Lsb,
-                    range_g: Some(set.range_g),
-                    range_source: None,
-                    sensitivity_lsb_per_g: Some(set.sensitivity.lsb_per_g()),
-                    zero_count: None,
-                    model: set.model,
-                    quality: set.quality.as_ref().map(Quality::from),
-                    sessions,
-                },
-            )
+            ..SensorCalibration::new(set.sensor, accelerometer)
         })
-    }
-
-    /// Of a set that a board or a recording holds.
-    pub fn held(set: &ParameterSet) -> Self {
-        let quality = set.quality.iter().map(CalibrationQuality::terms);
-        let session =
-            |terms: &QualityTerms| Session { utc_s: terms.utc_s, file: None, poses: terms.poses };
-        Self::new(set, &quality.map(session).collect::<Vec<_>>(), "")
-    }
-
-    /// That of `set`, which later data, those of `source`, made of this one.
-    #[must_use]
-    pub fn after(&self, set: &ParameterSet, source: &str) -> Self {
-        let before = &self.sensor().accelerometer;
-        let mut after = Self::new(set, &before.sessions, source);
-        after.device.clone_from(&self.device);
-        for sensor in &mut after.sensors {
-            sensor.accelerometer.zero_count = before.zero_count;
-            sensor.accelerometer.range_source = before.range_source;
-        }
-        after
     }
 
     /// The same of this device, if it does not name one.
@@ -291,11 +260,20 @@ impl Calibration {
     /// # Errors
     /// `bad_calibration` without a sensitivity, or with one outside the range of boards.
     pub fn parameters(&self) -> Result<ParameterSet> {
-        self.sensor().values().map_err(|text| {
-            let remedy =
-                "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
-            self.located(Code::BadCalibration.error(text, remedy))
-        })
+        self.sensor().values().map_err(|text| self.without_board(text))
+    }
+
+    /// The models of [`sensor`](Self::sensor), for use on the host: of a calibration in m/s² too.
+    ///
+    /// # Errors
+    /// `bad_calibration` of raw counts with a sensitivity outside the range of boards.
+    pub fn models(&self) -> Result<ParameterSet> {
+        self.sensor().models().map_err(|text| self.without_board(text))
+    }
+
+    fn without_board(&self, text: String) -> Problem {
+        let remedy = "calibrate again with --sensitivity, the nominal LSB/g of the board's range";
+        self.located(Code::BadCalibration.error(text, remedy))
     }
 
     /// Checks that it is of this device, or names none.
@@ -320,6 +298,10 @@ impl Calibration {
         }
     }
 }
+
+/// Range and sensitivity of models that are applied to an output in m/s²: 16 bits at ± 2 g.
+const ANY_RANGE_G: u8 = 2;
+const ANY_LSB_PER_G: f64 = 16384.0;
 
 /// Reads the parameters of a calibration file, for a board: those of the sensor with index 0, else of the first.
 ///
@@ -374,6 +356,24 @@ impl SensorCalibration {
             });
         };
         let sensitivity = Sensitivity::from_lsb_per_g(lsb_per_g).map_err(|e| e.to_string())?;
+        self.with(range_g, sensitivity)
+    }
+
+    /// What corrects an output in m/s²: range and sensitivity of a calibration without them are those of any board.
+    fn models(&self) -> std::result::Result<ParameterSet, String> {
+        if self.accelerometer.unit == AccelerationUnit::Lsb {
+            return self.values();
+        }
+        let sensitivity = Sensitivity::from_lsb_per_g(ANY_LSB_PER_G).map_err(|e| e.to_string())?;
+        self.with(ANY_RANGE_G, sensitivity)
+    }
+
+    fn with(
+        &self,
+        range_g: u8,
+        sensitivity: Sensitivity,
+    ) -> std::result::Result<ParameterSet, String> {
+        let accelerometer = &self.accelerometer;
         Ok(ParameterSet {
             model: accelerometer.model,
             quality: accelerometer.quality()?,

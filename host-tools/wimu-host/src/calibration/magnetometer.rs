@@ -49,7 +49,7 @@ impl FieldPose {
 /// Data that do not support an answer give a report with status `refused`.
 ///
 /// # Errors
-/// `csv_missing_column`, `data_refused` without a magnetic field; those of [`Calibration::parameters`] and
+/// `csv_missing_column`, `data_refused` without a magnetic field; those of [`Calibration::models`] and
 /// [`SensorCalibration::compile`](super::SensorCalibration::compile).
 pub fn calibrate_magnetometer(
     data: &Samples<'_>,
@@ -57,7 +57,7 @@ pub fn calibrate_magnetometer(
     dip_rad: Option<f64>,
 ) -> Result<CalibrationReport> {
     check(data)?;
-    let set = calibration.parameters()?;
+    let set = calibration.models()?;
     let rests = rests(data, calibration)?;
     let poses = field_poses(data, &rests);
     let estimate = magnetometer(&Vec::from_iter(poses.iter().map(|pose| pose.pose)), dip_rad);
@@ -68,8 +68,9 @@ pub fn calibrate_magnetometer(
         Ok(found) => {
             outcome.findings.extend(disturbed(&poses, found));
             outcome.findings.extend(of_dip(found, dip_rad));
-            let after = ParameterSet { magnetometer: Some(found.model), ..set };
-            file = Some(calibration.after(&after, data.name).of_device(data.info().device_id));
+            let mut after = calibration.clone().of_device(data.info().device_id);
+            after.sensor_mut().magnetometer = Some(found.model);
+            file = Some(after);
             answer = lines(found);
             answer.push(match more {
                 0 => "more poses would improve it little".to_owned(),

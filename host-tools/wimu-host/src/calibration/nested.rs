@@ -1,8 +1,8 @@
 //! Nested models beside an estimate: what its residuals show of the sensor, in one list of hypotheses.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
-use wimu_calib::{Estimate, Method, Nested, Pose, Term, Terms, TestedPose, Unexplained};
-use wimu_model::STANDARD_GRAVITY_MPS2 as G;
+use wimu_calib::{Estimate, Nested, Pose, Term, Terms, TestedPose, Unexplained};
+use wimu_model::{CalibrationMethod, STANDARD_GRAVITY_MPS2 as G};
 
 use super::report::AXES;
 use crate::{Code, Problem};
@@ -124,7 +124,7 @@ pub(super) fn finding(
     refit: impl Fn(&[Pose]) -> Option<Estimate>,
     since_start_s: impl Fn(&Pose) -> f64,
 ) -> Option<Problem> {
-    if estimate.method != Method::MultiPosition {
+    if estimate.method != CalibrationMethod::MultiPosition {
         return None;
     }
     let tested = |all: bool| {

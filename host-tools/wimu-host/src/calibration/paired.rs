@@ -4,7 +4,8 @@ use wimu_link::LinkRole;
 use wimu_link::batch::Stream;
 use wimu_model::{Sensitivity, SensorId};
 
-use super::poses::median_magnitude;
+use super::Source;
+use super::poses::{median_magnitude, range};
 use crate::capture;
 use crate::decode::sequence_order;
 use crate::recording::{OutputUnit, Quantity, Recording, Selection};
@@ -29,10 +30,8 @@ pub struct Paired {
     pub one_sensor: bool,
     /// Sensitivity that converted counts into m/s², or that a board needs for data in m/s².
     pub sensitivity: Option<Sensitivity>,
-    /// The unit of the reference.
-    pub unit: OutputUnit,
-    /// Full-scale range given by the user, ± *g*, for data that do not contain it.
-    pub range_g: Option<u8>,
+    /// Full-scale range, ± *g*, and its source.
+    pub range: Option<(u8, Source)>,
     /// The accelerometer, where a device identified it.
     pub sensor: Option<SensorId>,
     /// Its device.
@@ -44,7 +43,7 @@ impl Paired {
     /// there are two).
     ///
     /// `sensitivity`, LSB/g, is that of both; without it, the median magnitude of the reference's counts is taken as 1 g. For
-    /// data in m/s² it is only stored for a board.
+    /// data in m/s² it is only stored for a board. `range_g`, ± *g*, is for data that do not contain it.
     ///
     /// # Errors
     /// Those of [`Recording::samples`]; `usage` when the recording does not have the two.
@@ -52,6 +51,7 @@ impl Paired {
         recording: &Recording,
         chosen: [Option<u8>; 2],
         sensitivity: Option<Sensitivity>,
+        range_g: Option<u8>,
     ) -> Result<Self> {
         let [reference, output] = two(recording, chosen)?;
         let samples =
@@ -89,8 +89,7 @@ impl Paired {
             rate_hz: x.rate_hz,
             one_sensor: false,
             sensitivity,
-            unit: x.unit,
-            range_g: None,
+            range: range(x.unit, range_g, sensitivity),
             sensor: None,
             device_id: None,
         })
@@ -157,8 +156,7 @@ impl Paired {
             rate_hz,
             one_sensor: true,
             sensitivity: Some(sensitivity),
-            unit: OutputUnit::Counts { nominal: Some(sensitivity), range_g: Some(range_g) },
-            range_g: None,
+            range: Some((range_g, Source::Board)),
             sensor,
             device_id: wireless.hello().map(|hello| hello.device_id),
         })

@@ -3,15 +3,14 @@
 use std::collections::HashSet;
 
 use wimu_calib::{
-    Estimate, Face, Gravity, Placement, Pose, Refusal, four_angle, multi_position, six_position,
-    six_position_labelled, three_angle,
+    Estimate, Gravity, Placement, Pose, Refusal, four_angle, multi_position, six_position,
+    three_angle,
 };
-use wimu_model::{STANDARD_GRAVITY_MPS2, Sensitivity};
+use wimu_model::{CalibrationMethod, STANDARD_GRAVITY_MPS2, Sensitivity};
 
 use super::solution::Solution;
 use super::{
-    CalibrateOptions, CalibrationReport, MethodChoice, SENSOR_LSB_PER_G, Source, checks, magnitude,
-    median,
+    CalibrateOptions, CalibrationReport, SENSOR_LSB_PER_G, Source, checks, magnitude, median, steps,
 };
 use crate::plural::counted;
 use crate::recording::{Output, OutputUnit, Samples};
@@ -153,13 +152,13 @@ impl Poses {
 
     /// Removes poses that add nothing: exactly equal to an earlier one (a file joined to itself, or a logger that repeats),
     /// or the first step of a rotation again.
-    fn without_repetitions(&mut self, method: MethodChoice) -> Option<Problem> {
+    fn without_repetitions(&mut self, method: CalibrationMethod) -> Option<Problem> {
         let all = self.poses.len();
         let mut why = "exactly equal to an earlier pose";
-        if let Some(steps) = method.steps() {
+        if let Some(steps) = steps(method) {
             why = "the rotation had returned to its first step";
             self.remove_closing(steps);
-        } else if method == MethodChoice::MultiPosition {
+        } else if method == CalibrationMethod::MultiPosition {
             let mut seen = HashSet::with_capacity(all);
             self.poses.retain(|pose| seen.insert(pose.mean_mps2.map(f64::to_bits)));
         }
@@ -227,17 +226,12 @@ impl<'a> Fitting<'a> {
     pub fn of(&self, poses: &[Pose]) -> Result<Estimate, Refusal> {
         let (gravity, options) = (self.gravity, self.options);
         match options.method {
-            MethodChoice::SixPosition => match &options.sides {
-                Some(sides) => {
-                    let labelled: Vec<(Face, Pose)> =
-                        sides.iter().copied().zip(poses.iter().copied()).collect();
-                    six_position_labelled(&labelled, gravity, self.placement)
-                }
-                None => six_position(poses, gravity, self.placement),
-            },
-            MethodChoice::FourAngle => four_angle(poses, gravity, self.placement),
-            MethodChoice::ThreeAngle => three_angle(poses, gravity, self.placement),
-            MethodChoice::MultiPosition => multi_position(poses, gravity, options.multi_position()),
+            CalibrationMethod::SixPosition => {
+                six_position(poses, options.sides.as_deref(), gravity, self.placement)
+            }
+            CalibrationMethod::FourAngle => four_angle(poses, gravity, self.placement),
+            CalibrationMethod::ThreeAngle => three_angle(poses, gravity, self.placement),
+            _ => multi_position(poses, gravity, options.multi_position()),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Calibration of one stream against another of the same motion, as reference.
 
 use serde_json::json;
-use wimu_calib::{AxisTransfer, NoiseFrom, Parameter, ReferenceTransfer, Transfer};
+use wimu_calib::{AxisTransfer, Covariance, NoiseFrom, Parameter, ReferenceTransfer, Transfer};
 use wimu_model::{
     Alignment, CalibrationMethod, CalibrationQuality, ErrorModel, ModelCovariance, QualityTerms,
     Sensitivity, TermDeviations,
@@ -10,8 +10,8 @@ use wimu_model::{
 use super::checks::no_sensitivity;
 use super::file::Quality;
 use super::paired::Paired;
-use super::poses::{range, range_note};
-use super::report::{AXES, CalibrationReport, deviations};
+use super::poses::range_note;
+use super::report::{AXES, CalibrationReport};
 use super::{
     AccelerometerCalibration, Calibration, Correction, SensorCalibration, Session, Source,
 };
@@ -25,9 +25,6 @@ use crate::{Code, Problem};
 /// Standard deviations typical of datasheets, for what was not observed.
 const USUAL_SCALE: f64 = 0.03;
 const USUAL_CROSS_AXIS: f64 = 0.02;
-
-/// In the order of [`Parameter::ALL`].
-type Covariance = [[f64; Parameter::COUNT]; Parameter::COUNT];
 
 /// Bias and scale factor of one stream against the other.
 ///
@@ -69,8 +66,8 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> CalibrationR
             json["not_observed"] = json!(not_observed(&found));
             json["range_source"] = json!(calibration.sensor().accelerometer.range_source);
             json["model"] = json!(model.terms());
-            json["sd"] = json!(deviations(|k| covariance[k][k].sqrt(), [[0.0; 3]; 2]));
-            json["covariance"] = json!(covariance);
+            json["sd"] = json!(covariance.deviations(&Default::default()));
+            json["covariance"] = json!(covariance.matrix());
             outcome.findings = findings(data, &found);
             answer = lines(&found, &covariance);
             charts = [0, 1, 2].map(|axis| chart(data, model, axis)).into();
@@ -87,7 +84,7 @@ pub fn compare_with_reference(data: &Paired, utc_s: Option<u64>) -> CalibrationR
 
 /// Sensitivity and range of a board that takes the calibration.
 fn board(data: &Paired) -> Option<(Sensitivity, (u8, Source))> {
-    data.sensitivity.zip(range(data.unit, data.range_g, data.sensitivity))
+    data.sensitivity.zip(data.range)
 }
 
 fn findings(data: &Paired, found: &Transfer) -> Vec<Problem> {
@@ -204,7 +201,7 @@ fn quality(
         rms_mps2: squares.sum::<f64>().sqrt() as f32,
         loo_rms_mps2: None,
         condition: None,
-        covariance: ModelCovariance::from_matrix(covariance).ok()?,
+        covariance: ModelCovariance::from_matrix(covariance.matrix()).ok()?,
         other_sd: TermDeviations::default(),
     })
     .ok()
@@ -241,7 +238,7 @@ fn covariance(found: &Transfer) -> Covariance {
             }
         }
     }
-    covariance
+    Covariance::from_matrix(&covariance)
 }
 
 /// A line for each axis, those of the noise, and what ± is.
@@ -256,7 +253,7 @@ fn lines(found: &Transfer, covariance: &Covariance) -> Vec<String> {
                 axis.at_mps2, axis.motion_mps2
             );
         };
-        let [bias_sd, scale_sd] = [k, 3 + 4 * k].map(|place| covariance[place][place].sqrt());
+        let [bias_sd, scale_sd] = [k, 3 + 4 * k].map(|place| covariance.sd(Parameter::ALL[place]));
         format!(
             "{name}: bias {} m/s², scale factor {}; residual {:.2} mm/s² rms",
             signed_with_sd(line.bias_mps2, bias_sd),

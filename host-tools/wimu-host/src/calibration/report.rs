@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use wimu_calib::{Estimate, GyroscopeEstimate, Method, Orientation, Parameter, Parameters, Pose};
-use wimu_model::{ErrorTerms, ParameterSet, STANDARD_GRAVITY_MPS2, TemperatureTerms};
+use wimu_calib::{Estimate, GyroscopeEstimate, Orientation, Parameter, Parameters, Pose, Term};
+use wimu_model::{ParameterSet, STANDARD_GRAVITY_MPS2};
 
 use super::{Calibration, magnitude, median, parameter_id};
 use crate::chart::{Chart, Series, Style, broken};
@@ -160,7 +160,7 @@ pub(super) fn orientation_json(next: &Orientation) -> Value {
     json!({
         "up": next.up(),
         "text": next.to_string(),
-        "instruction": next.instruction().to_string(),
+        "instruction": next.instruction(),
     })
 }
 
@@ -233,30 +233,7 @@ impl fmt::Display for Grade {
     }
 }
 
-/// Standard deviations of a model's terms in its shape, from those of the 12 parameters.
-pub(super) fn deviations(sd: impl Fn(usize) -> f64, slopes: [[f64; 3]; 2]) -> ErrorTerms {
-    ErrorTerms {
-        bias_mps2: [0, 1, 2].map(&sd),
-        matrix: [3, 6, 9].map(|row| [row, row + 1, row + 2].map(&sd)),
-        temperature: TemperatureTerms {
-            reference_c: 0.0,
-            bias_mps2_per_k: slopes[0],
-            scale_per_k: slopes[1],
-            ..TemperatureTerms::default()
-        },
-        nonlinearity: [0.0; 3],
-    }
-}
-
-/// Standard deviations of an estimate in the model's shape; 0 for terms that are fixed or not fitted.
-pub(super) fn deviations_of(estimate: &Estimate) -> ErrorTerms {
-    let (sd, terms) = (&estimate.covariance, &estimate.term_sd);
-    let slopes = [terms.bias_mps2_per_k, terms.scale_per_k];
-    let deviations = deviations(|place| sd.sd(Parameter::ALL[place]), slopes);
-    ErrorTerms { nonlinearity: terms.nonlinearity, ..deviations }
-}
-
-/// Their names.
+/// Names of parameters.
 pub(super) fn names(parameters: Parameters) -> Vec<String> {
     parameters.iter().map(|parameter| parameter.to_string()).collect()
 }
@@ -265,12 +242,6 @@ pub(super) fn names(parameters: Parameters) -> Vec<String> {
 /// `loo_rms` of each under the model fitted without it, or without all visits of its orientation.
 pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Grade) {
     let mm = |mps2: Option<f64>| mps2.map(|mps2| mps2 * 1e3);
-    let (placement, revisit) = match estimate.method {
-        Method::SixPosition { placement_sd_rad, revisit_sd_mps2, .. } => {
-            (Some(placement_sd_rad), Some(revisit_sd_mps2))
-        }
-        _ => (None, None),
-    };
     let unseen = estimate.not_observed();
     let half_width = |p: Parameter| (!unseen.contains(p)).then(|| estimate.half_width_95(p));
     let more = json!({
@@ -290,13 +261,13 @@ pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Gra
         "temperature_range_c": estimate.temperature_range_c,
         "drift": estimate.drift.map(|drift| json!({
             "change_m_s2": drift.change_mps2,
-            "sd_m_s2": estimate.term_sd.drift_mps2,
+            "sd_m_s2": estimate.term_sd[Term::Drift as usize],
             "span_s": drift.span_s,
         })),
-        "placement_sd_deg": placement.map(f64::to_degrees),
-        "revisit_sd_mm_s2": mm(revisit),
+        "placement_sd_deg": estimate.sides.map(|sides| sides.placement_sd_rad.to_degrees()),
+        "revisit_sd_mm_s2": mm(estimate.sides.map(|sides| sides.revisit_sd_mps2)),
         "model": estimate.model.terms(),
-        "sd": deviations_of(estimate),
+        "sd": estimate.sd(),
         "half_width_95": Parameter::ALL.map(half_width),
         "covariance": estimate.covariance.matrix(),
     });

@@ -2,19 +2,18 @@
 
 use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-use wimu_calib::{Combined, Estimate, Gravity, Parameter, Parameters, combine};
+use wimu_calib::{Combined, Estimate, Gravity, Parameters, combine};
 use wimu_model::{
-    CalibrationQuality, CentiCelsius, ErrorModel, ErrorTerms, ModelCovariance, QualityTerms,
-    SpecificForceMps2, TermDeviations,
+    CalibrationMethod, CalibrationQuality, CentiCelsius, ErrorModel, ErrorTerms, ModelCovariance,
+    QualityTerms, SpecificForceMps2, TermDeviations,
 };
 
 use super::describe::{gravity_text, parameter_lines, temperature_line};
 use super::file::Quality;
 use super::poses::rms;
-use super::report::{AXES, deviations};
+use super::report::AXES;
 use super::{
-    CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Session, calibrate, checks,
-    magnitude,
+    CalibrateOptions, Calibration, CalibrationReport, Session, calibrate, checks, magnitude,
 };
 use crate::chart::{Chart, Series};
 use crate::digits::significant;
@@ -35,7 +34,7 @@ pub fn calibrate_several(
     check(data, options)?;
     let (gravity, gravity_source) = options.gravity()?;
     let mut json = json!({
-        "method": options.method.name(),
+        "method": options.method,
         "gravity_m_s2": gravity.mps2(),
         "gravity_sd_m_s2": gravity.sd_mps2(),
         "gravity_source": gravity_source,
@@ -59,7 +58,7 @@ pub fn calibrate_several(
             outcome.findings.extend(of_gravity);
             sessions.fill(&mut json);
             lines = sessions.lines();
-            let (method, g) = (options.method.name(), gravity_text(gravity));
+            let (method, g) = (options.method, gravity_text(gravity));
             lines.push(format!("{method}, {g}; ± is 1 σ of a new session"));
             file = sessions.file(options.utc_s);
             chart = Some(sessions.chart());
@@ -73,8 +72,9 @@ pub fn calibrate_several(
 
 fn check(data: &[Samples<'_>], options: &CalibrateOptions) -> Result<()> {
     let usage = |message: String, remedy: &str| Err(Code::Usage.error(message, remedy));
-    if !matches!(options.method, MethodChoice::MultiPosition | MethodChoice::SixPosition) {
-        let message = format!("--method {} takes one session", options.method.name());
+    if !matches!(options.method, CalibrationMethod::MultiPosition | CalibrationMethod::SixPosition)
+    {
+        let message = format!("--method {} takes one session", options.method);
         return usage(message, "use multi-position or six-position, or give one file");
     }
     let counts = |samples: &Samples<'_>| matches!(samples.unit, OutputUnit::Counts { .. });
@@ -167,9 +167,7 @@ impl Sessions {
 
     /// Standard deviations of the parameters of a new session, in the model's shape.
     fn sd(&self) -> ErrorTerms {
-        let slopes = self.combined.slope_sd;
-        let sd = |place: usize| self.combined.covariance.sd(Parameter::ALL[place]);
-        deviations(sd, [slopes.bias_mps2_per_k, slopes.scale_per_k])
+        self.combined.covariance.deviations(&self.combined.term_sd)
     }
 
     /// Adds the sessions and their combination to the report's JSON.
@@ -250,6 +248,7 @@ impl Sessions {
         let condition = self.estimates.iter().map(|e| e.condition).fold(1.0, f64::max);
         let found = &self.combined;
         let first = self.estimates[0].quality(utc_s, &self.singles[0].poses)?;
+        let [_, bias, scale, _] = found.term_sd;
         CalibrationQuality::new(QualityTerms {
             temperature: found.temperature,
             poses: total(|estimate| estimate.poses),
@@ -259,8 +258,8 @@ impl Sessions {
             condition: Some(condition as f32),
             covariance: ModelCovariance::from_matrix(found.covariance.matrix()).ok()?,
             other_sd: TermDeviations {
-                bias_mps2_per_k: found.slope_sd.bias_mps2_per_k.map(|sd| sd as f32),
-                scale_per_k: found.slope_sd.scale_per_k.map(|sd| sd as f32),
+                bias_mps2_per_k: bias.map(|sd| sd as f32),
+                scale_per_k: scale.map(|sd| sd as f32),
                 ..TermDeviations::default()
             },
             ..*first.terms()

@@ -2,17 +2,15 @@
 
 use serde_json::{Value, json};
 use wimu_calib::{Estimate, Face, Guide, Orientation, Pose, Reason, Refusal, Term};
-use wimu_model::{CalibratedTemperature, GyroscopeParameters};
+use wimu_model::{CalibratedTemperature, CalibrationMethod, GyroscopeParameters};
 
 use super::describe::{gravity_text, parameter_lines, temperature_line};
 use super::file::Quality;
 use super::poses::{Fitting, Scale, rms};
-use super::report::{
-    Grade, add_estimate, deviations_of, orientation_json, orientation_text, sphere,
-};
+use super::report::{Grade, add_estimate, orientation_json, orientation_text, sphere};
 use super::{
     AccelerometerCalibration, CalibrateOptions, Calibration, CalibrationReport, DatasheetReport,
-    MethodChoice, SensorCalibration, Session, Source, checks, gyroscope, magnitude,
+    SensorCalibration, Session, Source, checks, gyroscope, magnitude,
 };
 use crate::chart::{Chart, Series};
 use crate::csv::AccelerationUnit;
@@ -51,7 +49,8 @@ impl Solution<'_> {
         let (data, options) = (self.data, self.options);
         let estimate = self.fit.as_ref().ok();
         let mut of_gyroscope = Vec::new();
-        let all_orientations = estimate.filter(|_| options.method == MethodChoice::MultiPosition);
+        let all_orientations =
+            estimate.filter(|_| options.method == CalibrationMethod::MultiPosition);
         let gyroscope = all_orientations.and_then(|estimate| {
             gyroscope::calibrate(data, self.scale.mps2, &self.poses, estimate, &mut of_gyroscope)
         });
@@ -82,7 +81,7 @@ impl Solution<'_> {
                 numbers["datasheet"] = json!(limits);
                 numbers["gyroscope"] = json!(gyroscope.as_ref().map(gyroscope::json));
                 lines.extend([self.answer(estimate, &found, &outcome), self.given()]);
-                let terms = (estimate.model.terms(), &deviations_of(estimate));
+                let terms = (estimate.model.terms(), &estimate.sd());
                 lines.extend(parameter_lines(terms, estimate.fitted, estimate.not_observed()));
                 lines.extend(gyroscope.iter().flat_map(gyroscope::lines));
                 lines.extend(self.quality(estimate));
@@ -122,7 +121,7 @@ impl Solution<'_> {
         };
         json!({
             "source": data.name,
-            "method": self.options.method.name(),
+            "method": self.options.method,
             "terms": self.terms(),
             "poses": self.poses.len(),
             "rate_hz": (!data.poses).then_some(data.rate_hz),
@@ -162,7 +161,7 @@ impl Solution<'_> {
 
     /// Data, method and what was taken as known.
     fn given(&self) -> String {
-        let (name, method) = (self.data.name, self.options.method.name());
+        let (name, method) = (self.data.name, self.options.method);
         let (poses, g) = (counted(self.poses.len(), "static pose"), self.fitting.gravity);
         let text = format!("{name}: {poses}, {method}, {}", gravity_text(g));
         let Some(lsb_per_g) = self.scale.lsb_per_g else { return text };
@@ -183,14 +182,10 @@ impl Solution<'_> {
             [] => String::new(),
             _ => format!(" ({rms} over all poses)"),
         };
-        let size = |k: &usize| estimate.residual_mps2(&self.poses[*k]).abs();
-        let worst = (0..self.poses.len()).max_by(|a, b| size(a).total_cmp(&size(b)));
         let mut lines = vec![format!(
             "in sample {fitted} mm/s² rms{all}, largest {largest} at pose {} (from 0); condition {:.1}, {} degrees of \
              freedom; ± is 1 σ of this session",
-            worst.unwrap_or_default(),
-            estimate.condition,
-            estimate.dof
+            estimate.worst_pose, estimate.condition, estimate.dof
         )];
         if let Some(drift) = &estimate.drift {
             let [x, y, z] = drift.change_mps2.map(|axis| signed(axis * 1e3, 3));
@@ -205,12 +200,12 @@ impl Solution<'_> {
             lowest_c: low as f32,
             highest_c: high as f32,
         });
-        lines.extend(temperature_line((terms, &deviations_of(estimate)), valid));
+        lines.extend(temperature_line((terms, &estimate.sd()), valid));
         lines
     }
 
     fn more_poses(&self, worthwhile: usize, next: Option<&Orientation>) -> String {
-        if self.options.method != MethodChoice::MultiPosition {
+        if self.options.method != CalibrationMethod::MultiPosition {
             return "place the sensor more accurately rather than adding poses".to_owned();
         }
         match (worthwhile, next) {
@@ -279,7 +274,7 @@ impl Solution<'_> {
     /// Indices of the poses left out of the fit.
     pub fn rejected(&self) -> Vec<usize> {
         let Ok(estimate) = &self.fit else { return Vec::new() };
-        if self.options.method != MethodChoice::SixPosition {
+        if self.options.method != CalibrationMethod::SixPosition {
             return estimate.rejected.clone();
         }
         let poses = self.poses.iter().enumerate();
@@ -288,7 +283,7 @@ impl Solution<'_> {
 
     /// The poses that would resolve a refusal or improve the fit, and the number of worthwhile ones.
     fn advice(&self) -> (Vec<Orientation>, usize) {
-        if self.options.method != MethodChoice::MultiPosition {
+        if self.options.method != CalibrationMethod::MultiPosition {
             return (self.missing_sides(), 0);
         }
         let mut guide = Guide::after(&self.poses);
@@ -315,7 +310,7 @@ impl Solution<'_> {
     /// The sides that six positions lack.
     fn missing_sides(&self) -> Vec<Orientation> {
         let is_too_few = |refusal: &Refusal| matches!(refusal.reason, Reason::TooFew { .. });
-        if self.options.method != MethodChoice::SixPosition
+        if self.options.method != CalibrationMethod::SixPosition
             || !self.fit.as_ref().is_err_and(is_too_few)
         {
             return Vec::new();
@@ -328,11 +323,11 @@ impl Solution<'_> {
     /// The terms that were fitted, or were requested.
     fn terms(&self) -> Vec<&'static str> {
         let mut terms = match self.options.method {
-            MethodChoice::SixPosition => vec!["bias", "scale", "misalignment_6"],
-            MethodChoice::FourAngle | MethodChoice::ThreeAngle => vec!["bias", "scale"],
-            MethodChoice::MultiPosition => vec!["bias", "scale", "misalignment_3"],
+            CalibrationMethod::SixPosition => vec!["bias", "scale", "misalignment_6"],
+            CalibrationMethod::FourAngle | CalibrationMethod::ThreeAngle => vec!["bias", "scale"],
+            _ => vec!["bias", "scale", "misalignment_3"],
         };
-        let more = self.fit.as_ref().map_or(self.options.terms, |estimate| estimate.terms);
+        let more = self.fit.as_ref().map_or(self.options.model.terms, |estimate| estimate.terms);
         terms.extend(more.iter().map(|term| match term {
             Term::Drift => "drift",
             Term::BiasTemperature => "bias_temperature",

@@ -2,11 +2,12 @@
 
 use serde_json::{Value, json};
 use wimu_calib::{Ageing, Check, Parameter, Pose, SelfCheck};
-use wimu_model::{CalibrationQuality, ModelCovariance, ParameterSet, QualityTerms};
+use wimu_model::{CalibrationQuality, ModelCovariance, QualityTerms};
 
+use super::file::Quality;
 use super::poses::{Poses, rms};
 use super::report::{AXES, CalibrationReport};
-use super::{CalibrateOptions, Calibration, parameter_id};
+use super::{CalibrateOptions, Calibration, Session, parameter_id};
 use crate::chart::{Band, Chart, Series};
 use crate::digits::signed_with_sd;
 use crate::problem::Outcome;
@@ -27,7 +28,7 @@ pub fn update(
 ) -> Result<CalibrationReport> {
     let (gravity, _) =
         CalibrateOptions { gravity_mps2, ..CalibrateOptions::default() }.gravity()?;
-    let stored = &calibration.parameters()?;
+    let stored = &calibration.models()?;
     let check = SelfCheck::of(stored, gravity, Ageing::default());
     let (Some(mut check), Some(quality)) = (check, &stored.quality) else {
         return Err(Code::DataRefused.error(
@@ -69,8 +70,13 @@ pub fn update(
             answer.push(change_of_bias(change, &sd));
             let rms_mps2 = rms(rests.iter().map(|(_, rest)| rest.residual_mps2));
             let quality = updated(quality, &check, rms_mps2, utc_s);
-            let set = ParameterSet { model, quality, ..*stored };
-            file = Some(calibration.after(&set, name).of_device(data.info().device_id));
+            let mut after = calibration.clone().of_device(data.info().device_id);
+            let own = &mut after.sensor_mut().accelerometer;
+            (own.model, own.quality) = (model, quality.as_ref().map(Quality::from));
+            let utc_s = quality.and_then(|quality| quality.terms().utc_s);
+            let session = Session { utc_s, file: Some(name.to_owned()), poses: check.poses() };
+            own.sessions.push(session);
+            file = Some(after);
         }
     }
     let title = format!("Calibration {stored_id} against {name}");

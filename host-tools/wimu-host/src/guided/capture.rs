@@ -5,8 +5,6 @@ use wimu_calib::{Orientation, Phase, Pose, Session};
 use wimu_link::message::Epoch;
 use wimu_model::Sensitivity;
 
-use super::plan::CAPACITY;
-
 /// First part of a hold that its pose leaves out, s.
 const FIRST_BLOCK_S: f64 = 0.1;
 
@@ -27,7 +25,7 @@ pub enum Hold {
 
 /// The poses of a board: those that were found, and where their samples are in the recording.
 pub(super) struct Capture {
-    pub session: Session<CAPACITY>,
+    pub session: Session,
     /// m/s² of a count.
     scale: f64,
     rate_hz: f64,

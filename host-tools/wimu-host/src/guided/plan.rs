@@ -4,13 +4,11 @@ use serde::Serialize;
 use wimu_calib::{Face, Orientation, Parameter, Session};
 use wimu_link::Hello;
 use wimu_link::hello::Capabilities;
-use wimu_model::STANDARD_GRAVITY_MPS2;
+use wimu_model::{CalibrationMethod, STANDARD_GRAVITY_MPS2};
 
-use crate::calibration::{CalibrateOptions, Fitting, MethodChoice};
+use crate::calibration::{CalibrateOptions, Fitting, steps};
 use crate::{Code, Result};
 
-/// Capacity of a live calibration, poses.
-pub const CAPACITY: usize = 64;
 /// Default number of poses of a live calibration.
 const POSES: usize = 12;
 /// Default number of rotations: about two axes, so that the bias of each is observed.
@@ -40,8 +38,8 @@ impl Plan {
         options.gravity()?;
         let usage = |text: String, remedy: String| Err(Code::Usage.error(text, remedy));
         let fewest = options.multi_position().fewest_poses();
-        let count = match (options.method.steps(), count) {
-            _ if options.method == MethodChoice::SixPosition => Face::ALL.len(),
+        let count = match (steps(options.method), count) {
+            _ if options.method == CalibrationMethod::SixPosition => Face::ALL.len(),
             (Some(steps), None) => ROTATIONS * steps,
             (Some(steps), Some(count)) if !count.is_multiple_of(steps) || count == 0 => {
                 let text =
@@ -75,7 +73,7 @@ impl Plan {
 
     /// Whether each of the six sides is to be up.
     pub fn is_of_sides(&self) -> bool {
-        self.options.method == MethodChoice::SixPosition
+        self.options.method == CalibrationMethod::SixPosition
     }
 
     /// What a person is asked for at the start.
@@ -89,7 +87,7 @@ impl Plan {
         if self.is_of_sides() {
             return "hold the board still with each of its six sides up, in any order".to_owned();
         }
-        match self.options.method.steps() {
+        match steps(self.options.method) {
             None => "hold the board as suggested, or in any other orientation".to_owned(),
             Some(steps) => format!(
                 "rotate the board about one of its axes, which lies level, always in one direction: hold it still at each of \
@@ -101,9 +99,8 @@ impl Plan {
 
     /// What comes after this many poses.
     pub fn next_instruction(&self, poses: usize, next: Option<Orientation>) -> String {
-        let Some(steps) = self.options.method.steps() else {
-            let next = next.map(|next| next.instruction_with(self.sides).to_string());
-            return next.unwrap_or_default();
+        let Some(steps) = steps(self.options.method) else {
+            return next.map(|next| next.instruction_with(self.sides)).unwrap_or_default();
         };
         match (poses / steps + 1, poses % steps + 1) {
             _ if poses >= self.count => String::new(),
@@ -118,11 +115,11 @@ impl Plan {
 
     /// Maximum number of poses of a session: each of six sides can be captured repeatedly.
     pub fn wanted(&self) -> usize {
-        if self.is_of_sides() { CAPACITY } else { self.count }
+        if self.is_of_sides() { usize::MAX } else { self.count }
     }
 
     /// Standard deviations after these poses: of the fit, or expected where they do not support one.
-    pub fn uncertainty(&self, session: &Session<CAPACITY>) -> Uncertainty {
+    pub fn uncertainty(&self, session: &Session) -> Uncertainty {
         let estimate = Fitting::new(&self.options).map(|fitting| fitting.of(session.poses()));
         let refusal = match estimate {
             Ok(Ok(estimate)) => {

@@ -7,11 +7,11 @@ use wimu_calib::{Face, Orientation, Pose};
 use wimu_link::Hello;
 use wimu_link::batch::Stream;
 use wimu_link::message::Event as Happened;
-use wimu_model::{ParameterId, ParameterSet};
+use wimu_model::{CalibrationMethod, ParameterId, ParameterSet};
 
 use super::capture::{Capture, Hold};
-use super::plan::{CAPACITY, Plan, Uncertainty};
-use crate::calibration::{self, CalibrationReport, MethodChoice};
+use super::plan::{Plan, Uncertainty};
+use crate::calibration::{self, CalibrationReport};
 use crate::capture::Link;
 use crate::client::Client;
 use crate::decode::{Arrival, Event};
@@ -201,9 +201,11 @@ impl Guided {
         let sides_left = self.sides_left();
         let Some(capture) = &mut self.capture else { return };
         capture.next = match self.plan.options.method {
-            MethodChoice::SixPosition => sides_left.first().map(|side| Orientation::from(*side)),
-            MethodChoice::MultiPosition => capture.session.next(),
-            MethodChoice::FourAngle | MethodChoice::ThreeAngle => None,
+            CalibrationMethod::SixPosition => {
+                sides_left.first().map(|side| Orientation::from(*side))
+            }
+            CalibrationMethod::MultiPosition => capture.session.next(),
+            _ => None,
         };
     }
 
@@ -278,7 +280,7 @@ impl Guided {
     pub fn is_due(&self) -> bool {
         let count = self.poses().len();
         let has_sides = !self.plan.is_of_sides() || self.sides_left().is_empty();
-        let is_complete = (has_sides && count >= self.plan.count) || count == CAPACITY;
+        let is_complete = has_sides && count >= self.plan.count;
         self.report.is_none() && is_complete && self.tried != Some(count)
     }
 
@@ -314,14 +316,13 @@ impl Guided {
     /// Goes back to the poses for four more.
     pub fn more(&mut self) {
         let before = self.plan.count;
-        self.plan.count = (before + MORE).min(CAPACITY);
+        self.plan.count += MORE;
         let wanted = self.plan.wanted();
         self.capture.iter_mut().for_each(|capture| capture.session.want(wanted));
         self.view.wanted = self.plan.count;
         (self.report, self.view.result, self.tried) = (None, None, None);
         self.view.message = format!(
-            "{before} + {} = {} poses are wanted now, for a smaller uncertainty; finish earlier if you like",
-            self.plan.count - before,
+            "{before} + {MORE} = {} poses are wanted now, for a smaller uncertainty; finish earlier if you like",
             self.plan.count
         );
     }

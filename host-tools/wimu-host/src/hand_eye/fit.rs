@@ -379,37 +379,36 @@ impl Equations {
         groups.into_iter().map(|(_, block, normal)| (block, normal)).collect()
     }
 
-    /// Covariance from the changes of the answer when one part after the other is left out (block jackknife, Künsch 1989): to
-    /// first order, errors within a part may be correlated.
-    fn jackknife(&self, parts: &[(usize, Normal)]) -> Shared {
-        let changes = parts.iter().filter_map(|(block, part)| {
-            let (information, gradient) = self.normals[*block].without(part);
-            let all = self.information - self.reduced[*block].0 + information;
-            let change = all.cholesky()?.solve(&gradient);
-            Some(change * change.transpose())
-        });
-        let count = parts.len() as f64;
-        changes.sum::<Shared>() * ((count - 1.0) / count)
-    }
-
-    /// The same with residuals that are scaled for the leverage of their part (CR2 of Bell & McCaffrey 2002): unbiased for white
-    /// noise also where one part shows most of a parameter, which inflates the jackknife. Equal parts give the jackknife.
+    /// Covariance from the changes of the answer when one part after the other is left out: errors within a part may be correlated.
+    /// The residuals are scaled for the leverage of their part (CR2 of Bell & McCaffrey 2002). The sum is divided by what white
+    /// noise makes of it: a block that loses a part of its poses also loses what these show of its own parameters, so that the
+    /// losses of information add up to more than the whole.
     fn scatter(&self, parts: &[(usize, Normal)]) -> Option<Shared> {
         let whiten = self.information.cholesky()?.l().try_inverse()?;
-        let changes = parts.iter().map(|(block, part)| {
+        let (mut sum, mut expected) = (Shared::zeros(), Shared::zeros());
+        for (block, part) in parts {
             let (information, gradient) = self.normals[*block].without(part);
             let others = self.information - self.reduced[*block].0 + information;
             let remaining = (whiten * others * whiten.transpose()).symmetric_eigen();
+            let axes = &remaining.eigenvectors;
             // A direction that only this part shows has no residual.
-            let scale =
-                remaining.eigenvalues.map(|r| if r > RANK { r.sqrt().recip() } else { 0.0 });
-            let along = remaining.eigenvectors.transpose() * (whiten * gradient);
-            let scaled = remaining.eigenvectors * scale.component_mul(&along);
-            let change = whiten.transpose() * scaled;
-            change * change.transpose()
-        });
-        Some(changes.sum())
+            let scale = remaining.eigenvalues.map(root_reciprocal);
+            let lost = remaining.eigenvalues.map(|r| if r > RANK { 1.0 - r } else { 0.0 });
+            let change = axes * scale.component_mul(&(axes.transpose() * (whiten * gradient)));
+            sum += change * change.transpose();
+            expected += axes * Shared::from_diagonal(&lost) * axes.transpose();
+        }
+        let expected = expected.symmetric_eigen();
+        let axes = &expected.eigenvectors;
+        let scale = Shared::from_diagonal(&expected.eigenvalues.map(root_reciprocal));
+        let root = whiten.transpose() * axes * scale * axes.transpose();
+        Some(root * sum * root.transpose())
     }
+}
+
+/// 1/√x; 0 where x is 0 but for rounding.
+fn root_reciprocal(x: f64) -> f64 {
+    if x > RANK { x.sqrt().recip() } else { 0.0 }
 }
 
 /// Fits; `None` if the equations are singular.
@@ -436,7 +435,7 @@ pub(super) fn fit(
     let white = equations.information.try_inverse()?;
     let (birge, dof) = birge(&scatter, &white, blocks.len());
     // Variance of Student's t with the degrees of freedom of the Birge ratio.
-    let covariance = equations.jackknife(&groups) * (birge.max(1.0) * dof / (dof - 2.0));
+    let covariance = scatter[0] * (birge.max(1.0) * dof / (dof - 2.0));
     let residuals = equations.rows.iter().zip(&equations.weights);
     let residuals = residuals.map(|(row, weights)| Residual {
         time_s: row.time_s,

@@ -143,7 +143,7 @@ fn without_unit(recording: &Recording) -> Problem {
         ),
         (_, [_, _, ..]) => Code::CsvMissingColumn.error(
             format!("it has {count} accelerometers: {}", names.join(", ")),
-            "choose one with --topic; for several on one body give --setup geometry=FILE, or --setup full_scales_g=[G,G] where their ranges differ",
+            "choose one with --topic, or leave out the columns of the others; for several on one body give --setup geometry=FILE, or --setup full_scales_g=[G,G] where their ranges differ",
         ),
         _ => Code::CsvMissingColumn.error(
             "navigation needs times and one accelerometer",

@@ -373,6 +373,18 @@ impl Aids {
         self.aids.iter().find(|aid| aid.is_level())
     }
 
+    /// Whether they show the heading: that of the path is then theirs.
+    pub(super) fn show_heading(&self) -> bool {
+        let shows = |aid: &&Aid| *aid.kind == heading::HEADING || *aid.kind == velocity::VELOCITY;
+        self.origin().is_some() || self.aids.iter().any(|aid| shows(&aid))
+    }
+
+    /// The first measured height, m, of fixes without a horizontal position, and its standard deviation.
+    pub(super) fn height(&self) -> Option<[f64; 2]> {
+        let mut fixes = self.aids.iter().filter(|aid| *aid.kind == position::POSITION);
+        fixes.find(|fix| fix.sd[2].is_finite()).map(|fix| [fix.value[2], fix.sd[2]])
+    }
+
     /// Velocity at the time, s, of a start in motion, m/s, with the standard deviation of a component: that measured with
     /// the first fix, or of the way to the next one that is far enough in time.
     pub(super) fn velocity(&self, time_s: f64) -> Option<(Vector3<f64>, f64)> {

@@ -96,25 +96,26 @@ impl Axis {
         self.runs.binary_search_by(|run| run.start.cmp(&k)).is_ok()
     }
 
-    /// Whether its noise is more than its steps in the first quiet second in which it does not repeat itself. `sampled`: the
-    /// samples at which the sensor has new values.
+    /// Whether its noise is more than its steps in the first quiet second that has enough samples in which it does not repeat
+    /// itself. `sampled`: the samples at which the sensor has new values.
     fn is_noisy(&self, sampled: &[usize], quiet: &[Range<usize>]) -> bool {
         let value = |run: &Range<usize>| self.values[run.start];
         let changes = self.runs.windows(2).map(|two| (value(&two[1]) - value(&two[0])).abs());
         let step = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
-        let is_free = |second: &&Range<usize>| {
-            !self.long_runs().any(|run| run.start < second.end && second.start < run.end)
+        // The first sample of a run is one of the motion.
+        let is_free = |k: &usize| !self.long_runs().any(|run| (run.start + 1..run.end).contains(k));
+        let live = |second: &Range<usize>| -> Vec<usize> {
+            let there = sampled.iter().copied().filter(|k| second.contains(k));
+            there.filter(is_free).collect()
         };
-        let Some(second) = quiet.iter().find(is_free) else {
+        let Some(second) = quiet.iter().map(live).find(|live| live.len() >= REPEATS) else {
             return false;
         };
-        let there = sampled.partition_point(|k| *k < second.start)
-            ..sampled.partition_point(|k| *k < second.end);
         let bend = |three: &[usize]| {
             let [a, b, c] = [0, 1, 2].map(|k| self.values[three[k]]);
             (a - 2.0 * b + c).abs()
         };
-        let middle = median(sampled[there].windows(3).map(bend));
+        let middle = median(second.windows(3).map(bend));
         middle.is_some_and(|middle| middle > NOISY_STEPS * step)
     }
 }

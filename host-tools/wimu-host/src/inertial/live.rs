@@ -121,7 +121,10 @@ impl Live {
         }
         let newest = Ns::from_s(time_s);
         let last = self.newest().unwrap_or(newest);
-        let sample = self.once.of(&Sample { step_s: newest.since_s(last), ..sample });
+        let mut sample = self.once.of(&Sample { step_s: newest.since_s(last), ..sample });
+        if let Some(begun) = &self.begun {
+            begun.senses.without_bias(std::slice::from_mut(&mut sample));
+        }
         self.recording.push(newest, sample);
         let times = &self.recording.samples.t;
         if self.begun.is_none() {
@@ -262,6 +265,8 @@ impl Live {
         early.iter().for_each(|aid| self.is_late(aid));
         let (recording, choice) = (&self.recording, &self.choice);
         let senses = Senses::of(recording)?;
+        senses.without_bias(&mut self.recording.samples.v);
+        let recording = &self.recording;
         let (times_s, samples) = (&recording.times_s(), &recording.samples.v);
         let method = Method::of(samples);
         self.findings = senses.findings.clone();

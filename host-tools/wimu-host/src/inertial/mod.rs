@@ -229,6 +229,16 @@ impl Choice {
 /// What to do where no position is valid.
 const REMEDY: &str = "give a larger `limit_m` (--setup), or hold the unit still for a second first, and see that its times go on";
 
+/// Whether an accelerometer shows gravity, and a gyroscope the rotation of gravity: the units of a recording.
+///
+/// # Errors
+/// `data_refused`: another unit fits.
+pub(crate) fn check_units(recording: &Imu) -> Result<()> {
+    sense::Senses::of(recording)?;
+    rates::checked(recording)?;
+    Ok(())
+}
+
 /// The path of a recording of which every sample is a number.
 fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
     let senses = sense::Senses::of(recording)?;
@@ -237,6 +247,7 @@ fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
         samples[from..].iter_mut().for_each(|s| s.field_ut = None);
     }
     senses.frozen_rates.iter().for_each(|k| samples[*k].rate_rad_s = None);
+    senses.without_bias(&mut samples);
     let rates = rates::checked(recording)?;
     let from = if rates.as_ref().is_some_and(|found| found.contradicts) {
         Some(0)
@@ -273,7 +284,7 @@ fn followed(recording: &Imu, choice: &Choice) -> Result<InertialPath> {
         );
         path.findings.push(Code::Clock.warning(text));
     }
-    let placed = choice.start.is_some() || choice.aids.origin().is_some();
+    let placed = choice.start.is_some() || choice.aids.show_heading();
     if samples.iter().all(|s| s.field_ut.is_none()) && !placed {
         let why = recording.without_field();
         let text = format!("{why}: heading is that of the body at the start");

@@ -3,10 +3,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix1, Matrix3, Vector3};
 use wimu_nav::navigator::{self, Sample, SampleFault};
 use wimu_nav::process::{ConstantVelocity, Odometry, OdometryBlocks, OdometryErrors, RandomWalk};
-use wimu_nav::state::{Block, Role};
+use wimu_nav::state::{Block, HEADING, POSITION as PLACE, Role};
 
 use super::aids::position::POSITION;
 use super::aids::range::RANGE;
@@ -30,6 +30,9 @@ const CONTRADICTIONS: usize = 5;
 const LINE_OF_SIGHT: f64 = 0.5;
 /// Standard deviation of each heading that is tried, rad.
 const HEADING_SD: f64 = 0.3;
+
+/// Height of the unit.
+const UP: Block<1> = PLACE.part::<1, 2>();
 
 /// What carries a unit over a step.
 #[derive(Clone, Copy, Debug)]
@@ -101,6 +104,9 @@ pub(crate) struct Navigator {
     in_succession: usize,
     /// When the path jumped to what aids show, s.
     pub jumps_s: Vec<f64>,
+    /// Time of the last fix that was used, or of the start, and times before jumps in which the path was wrong, s.
+    fixed_s: f64,
+    wrong_s: Vec<[f64; 2]>,
     last_position_s: Option<f64>,
     suspects: Suspects,
     no_time: usize,
@@ -132,6 +138,8 @@ impl Navigator {
             outside: 0,
             in_succession: 0,
             jumps_s: Vec::new(),
+            fixed_s: time_s,
+            wrong_s: Vec::new(),
             last_position_s: None,
             suspects: Suspects::default(),
             no_time: 0,
@@ -170,6 +178,21 @@ impl Navigator {
         let deviations = [position_sd, velocity_sd, HEADING_SD];
         self.core.set_pose(position, velocity, heading, deviations);
         self.framed = true;
+    }
+
+    /// Turns to the heading, rad, of fixes that have no horizontal position, and moves to their height, m, with its standard
+    /// deviation.
+    pub fn frame(&mut self, height: Option<[f64; 2]>, heading: f64) {
+        self.core.set_heading(heading);
+        if let Some([height_m, _]) = height {
+            self.core.set_position(Vector3::z() * height_m);
+        }
+        self.core.change(|filter| {
+            filter.set_covariance(HEADING, &Matrix1::new(HEADING_SD * HEADING_SD));
+            if let Some([_, sd_m]) = height {
+                filter.set_covariance(UP, &Matrix1::new(sd_m * sd_m));
+            }
+        });
     }
 
     /// Whether position is measured from a place that is known.
@@ -279,6 +302,7 @@ impl Navigator {
         if is_position && self.in_succession >= CONTRADICTIONS {
             self.core.loosen(off.norm());
             self.jumps_s.push(aid.time_s);
+            self.wrong_s.push([self.fixed_s, aid.time_s]);
         }
         let mut to = Update {
             navigator: &mut self.core,
@@ -298,6 +322,9 @@ impl Navigator {
             self.last_position_s = Some(aid.time_s);
             self.segments.see_fix(&found.innovation);
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
+            if accepted {
+                self.fixed_s = aid.time_s;
+            }
         }
         let is_range = *aid.kind == RANGE;
         if is_range || (is_position && accepted) {
@@ -342,9 +369,19 @@ impl Navigator {
         };
         tape.finish(&mut self.core, &mut points);
         self.contradictions = tape.contradictions;
+        let is_wrong =
+            |time_s| self.wrong_s.iter().any(|[from, to]| *from < time_s && time_s < *to);
+        for point in &mut points {
+            point.valid &= !is_wrong(point.time_s);
+        }
         super::moves::smoothed_moves(moves, &points, &tape);
         let contradicted = self.segments.clone().finish(&mut points, moves);
         (points, contradicted)
+    }
+
+    /// Whether aids contradicted the path, which jumped to them, or later samples what was before.
+    pub fn is_contradicted(&self) -> bool {
+        self.contradictions > 0 || !self.jumps_s.is_empty()
     }
 
     /// Estimated scale error of the wheels, with its standard deviation.
@@ -416,7 +453,7 @@ impl Navigator {
                 "several ranges contradicted the path, {times}: it jumps to the position that they show"
             ),
             None => format!(
-                "{CONTRADICTIONS} fixes in succession contradicted the path, {times}: it jumps to the next one there"
+                "{CONTRADICTIONS} fixes in succession contradicted the path, {times}: it is not valid there, and jumps to the next one"
             ),
         };
         Some(Code::Navigation.warning(text).between(*first, *last))

@@ -1,5 +1,7 @@
 //! Whether a recording can be what it says it is: gravity, and axes that go on.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 
 use super::frozen::{Frozen, Sense};
@@ -7,6 +9,7 @@ use super::unit::median_step_s;
 use crate::digits::significant;
 use crate::imu::{Imu, Sample};
 use crate::plural::counted;
+use crate::rests::RestLimits;
 use crate::stats::median;
 use crate::{Code, Problem, Result};
 
@@ -42,6 +45,8 @@ const HELD_S: f64 = 3.0;
 /// What was found.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Senses {
+    /// Bias of the gyroscope that hides every rest, rad/s; zero where there is none.
+    pub rate_bias_rad_s: Vector3<f64>,
     /// Samples in which an axis of the gyroscope repeats its last value.
     pub frozen_rates: Vec<usize>,
     /// From this sample on the gyroscope is dead.
@@ -87,6 +92,21 @@ impl Senses {
         }
         let face_down = face_down(recording).map(|text| Code::Axes.warning(text));
         senses.findings.extend(face_down);
+        let (samples, first) = (&recording.samples.v, recording.samples.v.first());
+        if samples.len() >= STUCK_SAMPLES
+            && samples.iter().all(|s| Some(s.force_mps2) == first.map(|first| first.force_mps2))
+        {
+            let text = "the accelerometer gives one and the same value throughout";
+            let remedy = "check the sensor and its wiring: a sensor that works has noise";
+            senses.findings.push(Code::Frozen.warning(text).remedy(remedy));
+        }
+        if let Some(bias) = rate_bias(recording) {
+            let [x, y, z]: [f64; 3] = bias.map(f64::to_degrees).into();
+            senses.findings.push(Code::Navigation.warning(format!(
+                "the gyroscope shows {x:.1} {y:.1} {z:.1} °/s while the accelerometer is still: taken off as its bias"
+            )));
+            senses.rate_bias_rad_s = bias;
+        }
         senses.clipped = clipped_samples(&recording.samples.v);
         if let Some(first) = senses.clipped.first() {
             senses.findings.push(Code::Saturated.warning(format!(
@@ -119,6 +139,38 @@ impl Senses {
         }
         Ok(senses)
     }
+
+    /// Takes the bias of the gyroscope off samples.
+    pub fn without_bias(&self, samples: &mut [Sample]) {
+        for rate in samples.iter_mut().filter_map(|sample| sample.rate_rad_s.as_mut()) {
+            *rate -= self.rate_bias_rad_s;
+        }
+    }
+}
+
+/// Mean angular rate at the rests that the accelerometer alone shows, rad/s, where the detector of rests would take it for a
+/// motion. A rotation about the vertical does not show in the accelerometer, and lasts at every rest if it is a bias.
+fn rate_bias(recording: &Imu) -> Option<Vector3<f64>> {
+    let limits = RestLimits::default();
+    let [steady, hidden] =
+        [limits.rate_rad_s, limits.rate_offset_rad_s].map(|sd| sd * limits.threshold.sqrt());
+    let at_rest = |(second, _): (Range<usize>, f64)| {
+        let samples = &recording.samples.v[second];
+        let rates: Vec<Vector3<f64>> = samples.iter().filter_map(|s| s.rate_rad_s).collect();
+        let mean = rates.iter().sum::<Vector3<f64>>() / rates.len() as f64;
+        let scatter = rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>();
+        let force: Vector3<f64> = samples.iter().map(|s| s.force_mps2).sum();
+        let is_steady = (scatter / rates.len() as f64).sqrt() < steady;
+        is_steady.then(|| (mean, force.normalize()))
+    };
+    let rests: Vec<_> = recording.still_seconds().into_iter().filter_map(at_rest).collect();
+    let bias = Vector3::from_fn(|axis, _| {
+        median(rests.iter().map(|(mean, _)| mean[axis])).unwrap_or_default()
+    });
+    let is_constant = rests.iter().all(|(mean, _)| (mean - bias).norm() < hidden);
+    let is_level = |up: &Vector3<f64>| bias.cross(up).norm() < hidden;
+    let may_turn = rests.len() < 2 && rests.iter().all(|(_, up)| is_level(up));
+    (bias.norm() > hidden && is_constant && !may_turn).then_some(bias)
 }
 
 /// Whether times go on as those of samples do.

@@ -10,6 +10,7 @@ use wimu_nav::stance::stances;
 
 use super::aids::Aid;
 use super::aids::position::LOOP;
+use super::aids::speed::SPEED;
 use super::moves::moves;
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
@@ -26,6 +27,9 @@ const HELD_S: f64 = 0.25;
 /// Time of the initial alignment, s: at rest, and of a start in motion.
 const ALIGNMENT_S: f64 = 0.7;
 const SHORT_ALIGNMENT_S: f64 = 0.1;
+/// A longer time between samples is reported, s, and in median steps: the navigator does not integrate over it.
+const GAP_S: f64 = 0.1;
+const GAP_STEPS: f64 = 4.0;
 /// Headings at the start that are tried where fixes show the position, and time of the trial, s.
 pub(super) const HEADINGS: u32 = 12;
 const HEADING_TRIAL_S: f64 = 120.0;
@@ -115,6 +119,11 @@ impl<'a> Unit<'a> {
         let smooth = choice.smooth && method == Method::Strapdown;
         navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
         run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
+        let [used, rejected] = navigator.core.fields();
+        if method == Method::Strapdown && rejected > used {
+            return self
+                .path_without_field(choice, f64::from(rejected) / f64::from(used + rejected));
+        }
         let (mut points, contradicted) = navigator.finish(&mut moves);
         let from = navigator.origin.unwrap_or(0);
         for (k, point) in points.iter_mut().enumerate() {
@@ -130,6 +139,7 @@ impl<'a> Unit<'a> {
             );
             findings.insert(0, Code::Navigation.note(text));
         }
+        findings.extend(self.gaps());
         let clipped = [(self.clipped.len(), "not used: σ grows there")];
         findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
         match choice.profile {
@@ -154,25 +164,53 @@ impl<'a> Unit<'a> {
         Ok(path)
     }
 
-    /// A navigator at the first sample, in the frame of the fixes where there are some, at the heading that explains those of
-    /// the first minutes best.
+    /// The path without a magnetometer most of whose readings contradict the motion: the heading that its first ones gave is as
+    /// wrong as they are.
+    fn path_without_field(&self, choice: &Choice, part: f64) -> Result<InertialPath> {
+        let bare = |sample: &Sample| Sample { field_ut: None, ..*sample };
+        let samples: Vec<Sample> = self.samples.iter().map(bare).collect();
+        let mut path = Unit { samples: &samples, ..*self }.path(choice, Method::Strapdown)?;
+        let text = format!(
+            "the magnetic field contradicted the motion in {:.0} % of its readings: it is not used, and heading is that of the \
+             body at the start",
+            100.0 * part
+        );
+        let remedy =
+            "calibrate the magnetometer, check its axes and signs; iron or a magnet may be near";
+        path.findings.insert(0, Code::Navigation.warning(text).remedy(remedy));
+        Ok(path)
+    }
+
+    /// A navigator at the first sample, in the frame of the fixes where there are some: of the position, height and heading that
+    /// they measure, at the heading that explains those of the first minutes best.
     fn placed(&self, start: &core::Navigator, steps: &[Step], choice: &Choice) -> Navigator {
         let at_rest = self.first_rest(&rests_of(steps)).is_some();
         let framed = choice.start.is_some();
         let begin = |at_rest| Navigator::new(start.clone(), self.times_s[0], at_rest, framed);
-        let Some(fix) = choice.aids.origin().filter(|_| !framed) else {
+        let fix = choice.aids.origin();
+        if framed || !(choice.aids.show_heading() || choice.aids.height().is_some()) {
             return begin(at_rest);
-        };
+        }
         let velocity = choice.aids.velocity(self.times_s[0]).filter(|_| !at_rest);
         let placed = |heading: f64, at_rest| {
             let mut navigator = begin(at_rest);
-            navigator.place(fix.position(), velocity, heading);
+            match fix {
+                Some(fix) => navigator.place(fix.position(), velocity, heading),
+                None => navigator.frame(choice.aids.height(), heading),
+            }
             navigator
         };
-        let until = steps.partition_point(|step| step.time_s < fix.time_s + HEADING_TRIAL_S);
+        if !choice.aids.show_heading() {
+            return placed(start.heading(), at_rest);
+        }
+        // The forward axis that speeds need is known at some headings only, and likelihoods of other data do not compare.
+        let shown: Vec<Aid> =
+            choice.aids.aids.iter().filter(|aid| *aid.kind != SPEED).copied().collect();
+        let first_s = fix.or(shown.first()).map_or(self.times_s[0], |aid| aid.time_s);
+        let until = steps.partition_point(|step| step.time_s < first_s + HEADING_TRIAL_S);
         let trial = |heading: f64| {
             let mut navigator = placed(heading, false);
-            run(&mut navigator, &choice.aids.aids, None, &steps[..until]);
+            run(&mut navigator, &shown, None, &steps[..until]);
             (navigator.log_likelihood, heading)
         };
         let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
@@ -277,6 +315,20 @@ impl<'a> Unit<'a> {
         let text = format!("it moves like a foot, in {}", counted(steps, "step"));
         let remedy = "if it was on one: --profile foot, which knows the velocity in each stance";
         Some(Code::Navigation.warning(text).remedy(remedy))
+    }
+
+    /// Times without a sample.
+    fn gaps(&self) -> Option<Problem> {
+        let usual_s = median_step_s(self.times_s);
+        let is_gap = |pair: &&[f64]| pair[1] - pair[0] > GAP_S.max(GAP_STEPS * usual_s);
+        let gaps = self.times_s.windows(2).filter(is_gap);
+        let longest = gaps.clone().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+        let text = format!(
+            "{} without a sample, the longest of {:.2} s: the motion there is not known, σ grows",
+            counted(gaps.count(), "time"),
+            longest[1] - longest[0]
+        );
+        Some(Code::Rate.note(text).between(longest[0], longest[1]))
     }
 
     /// No part of a motion is known relative to a rest that only ends it.

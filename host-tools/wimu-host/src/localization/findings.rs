@@ -56,7 +56,7 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Problem>> {
 
 /// Anchors are on a line if they are off it by less than this part of their distance along it: a dilution of 20.
 const LINE: f64 = 0.05;
-/// Ranges longer than the extent of the anchors by this factor have probably another unit.
+/// Ranges longer or shorter than the extent of the anchors by this factor have probably another unit.
 const FAR: f64 = 20.0;
 
 /// What to do where no position is known to the limit.
@@ -69,7 +69,7 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
     };
     let ranges_m = recording.ranges.iter().map(|r| r.value[0]);
     let median_m = median(ranges_m).unwrap_or_default();
-    if median_m > FAR * extent(0) {
+    if median_m > FAR * extent(0) || FAR * median_m < extent(0) {
         let [median, extent] = [median_m, extent(0)].map(|length| significant(length, 3));
         format!("check the units: the ranges are {median} m, the anchors within {extent} m")
     } else if !recording.planar && extent(1) < LINE * extent(0) {

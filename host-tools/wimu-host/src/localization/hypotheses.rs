@@ -122,8 +122,8 @@ const SHIFTS_S: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 /// End of the search, s: halved steps about the last shift reach it.
 pub(super) const LAST_SHIFT_S: f64 = 12.0;
 const SHIFT_GAIN: f64 = 50.0;
-/// They are tried if the noise of the ranges is larger than assumed by this factor, or the delay that was found is larger
-/// than this number of its prior's standard deviations.
+/// They are tried if the ranges contradict the path, their noise is larger than assumed by this factor, or the delay that was
+/// found is larger than this number of its prior's standard deviations.
 const CLOCK_NOISE: f64 = 1.5;
 const CLOCK_DELAY: f64 = 2.0;
 /// The first ranges that are compared for it, at most.
@@ -146,8 +146,8 @@ pub(super) fn is_last(shift_s: f64) -> bool {
 
 /// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
 /// shift has its own most probable start. Equation (172).
-pub(super) fn clock_shift(recording: &Recording, model: &Model, delay_s: f64) -> Option<f64> {
-    if matches!(recording.motion, Motion::Free) || fits(model, delay_s) {
+pub(super) fn clock_shift(recording: &Recording, model: &Model) -> Option<f64> {
+    if matches!(recording.motion, Motion::Free) {
         return None;
     }
     let part = Recording {

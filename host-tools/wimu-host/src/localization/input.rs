@@ -122,8 +122,10 @@ impl RangeRecording {
             );
         }
         if samples.is_empty() {
-            let remedy = "check the names of the anchors in both files";
-            return Err(table.empty("there is no range to a known anchor", remedy));
+            let remedy = "check the ranges, and the names of the anchors in both files";
+            let why = findings.first().map_or_else(String::new, |f| format!(": {}", f.text));
+            let message = format!("there is no range to a known anchor{why}");
+            return Err(table.empty(&message, remedy));
         }
         Ok(Self {
             name: table.name,

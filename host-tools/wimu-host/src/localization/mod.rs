@@ -232,7 +232,12 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
     let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    if let Some(shift_s) = clock_shift(&problem, &model, delay_s(&run)) {
+    let shift_s = if fits(&model, delay_s(&run)) && !run.navigator.is_contradicted() {
+        None
+    } else {
+        clock_shift(&problem, &model)
+    };
+    if let Some(shift_s) = shift_s {
         let shifted = Model { shift_s, ..prior };
         let found = solved(&problem, shifted, choice).map_err(at)?;
         let explains = fits(&found.1, delay_s(&found.0));

@@ -18,6 +18,7 @@ pub use hinge::Hinge;
 pub use live::{Body, LiveRelative};
 
 use crate::imu::Imu;
+use crate::inertial::check_units;
 use crate::{Code, Problem, Result};
 use engine::{Model, Run};
 use pair::{Step, Unit, steps};
@@ -78,7 +79,7 @@ pub struct RelativePath {
 /// Estimates the rotation of the second unit relative to the first.
 ///
 /// # Errors
-/// `data_refused`: a unit without a gyroscope, one recording twice, no common time, no motion of the joint where its axis is
+/// `data_refused`: a unit without a gyroscope, outputs in another unit, one recording twice, no common time, no motion of the joint where its axis is
 /// not given.
 pub fn relative(recordings: [&Imu; 2], choice: &RelativeChoice) -> Result<RelativePath> {
     Ok(search(recordings, choice)?.0)
@@ -91,6 +92,7 @@ fn search(
 ) -> Result<(RelativePath, Rotation3<f64>, Model)> {
     let names = recordings.map(|recording| recording.name.as_str()).join(" and ");
     let at = |error: Problem| error.at(&names);
+    recordings.into_iter().try_for_each(check_units)?;
     let given = choice.hinge.map(|axis| {
         let remedy = "give three numbers that are not all zero, such as --setup hinge=[0,0,1]";
         Hinge::given(axis).ok_or_else(|| Code::Usage.error("the hinge axis is zero", remedy))

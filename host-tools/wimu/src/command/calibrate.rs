@@ -7,14 +7,12 @@ mod magnetometer;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use wimu_host::calibration::{
-    self, CalibrateOptions, Calibration, CalibrationReport, MethodChoice, Paired,
-};
+use wimu_host::calibration::{self, CalibrateOptions, Calibration, CalibrationReport, Paired};
 use wimu_host::capture;
 use wimu_host::formats::{self, ReadOptions};
 use wimu_host::recording::{Recording, Samples, Selection};
 use wimu_host::{Code, Input, Problem, Result};
-use wimu_model::Sensitivity;
+use wimu_model::{CalibrationMethod, Sensitivity};
 
 use crate::arguments::{Calibrate, Method, Setup};
 use crate::command::{Connection, connect_for};
@@ -172,8 +170,7 @@ fn against_reference(arguments: &Calibrate, output: &Output) -> Result<u8> {
         Input::File(path) => {
             let recording = formats::load(&path, &reading(arguments).0)?;
             let chosen = [arguments.reference, arguments.sensor];
-            let range_g = arguments.range;
-            Paired { range_g, ..Paired::of_recording(&recording, chosen, sensitivity)? }
+            Paired::of_recording(&recording, chosen, sensitivity, arguments.range)?
         }
         Input::Recording(path) => Paired::of_links(&capture::Capture::load(&path)?)?,
         Input::Link(_) => {
@@ -224,18 +221,17 @@ pub fn utc_s() -> Option<u64> {
 
 fn options(arguments: &Calibrate) -> Result<CalibrateOptions> {
     let method = match arguments.method {
-        Method::SixPosition => MethodChoice::SixPosition,
-        Method::FourAngle => MethodChoice::FourAngle,
-        Method::ThreeAngle => MethodChoice::ThreeAngle,
-        _ => MethodChoice::MultiPosition,
+        Method::SixPosition => CalibrationMethod::SixPosition,
+        Method::FourAngle => CalibrationMethod::FourAngle,
+        Method::ThreeAngle => CalibrationMethod::ThreeAngle,
+        _ => CalibrationMethod::MultiPosition,
     };
     let text = arguments.model.as_deref().unwrap_or_default();
-    let (model, terms) = calibration::parse_model(text, method)?;
+    let model = calibration::parse_model(text, method)?;
     let datasheet = arguments.chip.as_deref();
     Ok(CalibrateOptions {
         method,
         model,
-        terms,
         sides: arguments.sides.clone(),
         gravity_mps2: arguments.gravity,
         place: arguments.latitude,

@@ -47,7 +47,7 @@ pub fn run(arguments: &Convert, output: &Output) -> Result<()> {
         return calibration(arguments, program, output);
     }
     let Some(to) = arguments.output.as_deref() else {
-        if Calibration::read(&arguments.input).is_ok() {
+        if arguments.to.is_none() && Calibration::read(&arguments.input).is_ok() {
             return Err(no_recording(arguments));
         }
         return Err(usage("no output file is given", "name one with -o FILE"));
@@ -216,8 +216,8 @@ fn calibration(arguments: &Convert, program: ExportTarget, output: &Output) -> R
     }
     let calibration = Calibration::read(&arguments.input)?;
     let export = CalibrationExport::new(&calibration);
-    let noise = arguments.noise.as_deref();
-    let text = export.text(program, noise.map(KalibrNoise::read).transpose()?);
+    let noise = arguments.noise.as_deref().map(KalibrNoise::read).transpose()?;
+    let text = export.text(program, noise.as_ref());
     let mut findings = export.findings(program);
     findings.extend(further_left_out(&calibration));
     let file = arguments.output.as_ref().map(|path| path.display().to_string());

@@ -27,11 +27,11 @@ const CERTAIN_REST_S: f64 = 0.25;
 /// Variance of an unknown heading, rad²: a uniform distribution.
 const HEADING_UNKNOWN: f64 = 3.29;
 
-impl<const M: usize> ArrayFilter<M> {
+impl ArrayFilter {
     /// Alignment with the mean specific force; after a start in motion with that of the first rest.
     pub(super) fn align(&mut self, step: f64, linear: &Linear, at_rest: bool) {
         let align = &mut self.align;
-        align.force += Vector3::from_fn(|i, _| linear.theta[3 + i]);
+        align.force += linear.force_mps2();
         align.time_s += step;
         align.count += 1.0;
         if align.time_s < ALIGN_S && !self.moving_start || align.count < 2.0 && !at_rest {
@@ -47,7 +47,7 @@ impl<const M: usize> ArrayFilter<M> {
     pub(super) fn begin(&mut self, attitude: Rotation3<f64>, force: &Vector3<f64>, rest: bool) {
         let g = self.config.gravity_mps2;
         let [own, common] = self.bias_variances();
-        let bias = own * self.array.solver().covariance()[3][3] + common;
+        let bias = own * self.array.solver().covariance()[(3, 3)] + common;
         let excess = force.norm() - g;
         let (tilt, velocity) = if rest {
             ((bias + excess * excess / 4.0) / (g * g) + 1e-6, 1e-6)
@@ -90,7 +90,7 @@ impl<const M: usize> ArrayFilter<M> {
         let [own, common] = self.bias_variances();
         let solver = self.array.solver();
         let covariance = solver.covariance();
-        let mut theta = SMatrix::<f64, 6, 6>::from_fn(|i, j| covariance[i][j] * own);
+        let mut theta = covariance * own;
         for i in 3..6 {
             theta[(i, i)] += common;
         }

@@ -1,9 +1,9 @@
 //! The angular rates that fit a sample: equations (73) to (75).
 
 use heapless::Vec;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3, Vector6};
 
-use super::{ArraySolver, Linear, inner};
+use super::{ArraySolver, Linear};
 
 /// Damped Gauss-Newton steps; a good start takes 2 to 4.
 const MOST_STEPS: usize = 20;
@@ -16,9 +16,9 @@ const RULED_OUT: f64 = 18.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     /// ω, rad/s, body axes.
-    pub rate_rad_s: [f64; 3],
+    pub rate_rad_s: Vector3<f64>,
     /// Information about ω, the inverse of its covariance, (rad/s)⁻²: it vanishes at rest.
-    pub information: [[f64; 3]; 3],
+    pub information: Matrix3<f64>,
     /// Sum of the squared residuals that ω should explain, of unit variance: [`ArraySolver::rank`] less three degrees of
     /// freedom.
     pub chi_square: f64,
@@ -31,7 +31,7 @@ struct Fit {
     information: Matrix3<f64>,
 }
 
-impl<const M: usize> ArraySolver<M> {
+impl ArraySolver {
     /// All angular rates that fit a reduced sample, each with its opposite next to it, the best fit first: more than one, but
     /// at rest. Empty where the geometry shows no angular rate, or the sample is not finite.
     pub fn roots_of(&self, linear: &Linear) -> Vec<Hypothesis, 8> {
@@ -40,7 +40,7 @@ impl<const M: usize> ArraySolver<M> {
         if self.rank < 3 || !finite {
             return roots;
         }
-        let q = core::array::from_fn(|row| inner(&self.u_inverse[row], &linear.z));
+        let q = self.u_inverse * linear.z;
         let mut starts = Vec::<Vector3<f64>, 4>::new();
         if self.rank == 6 {
             let _ = starts.push(closed_form(&q));
@@ -59,7 +59,7 @@ impl<const M: usize> ArraySolver<M> {
             return roots;
         };
         for one in found.iter().filter(|h| h.chi_square <= best + RULED_OUT) {
-            for hypothesis in [*one, self.complete(linear, -Vector3::from(one.rate_rad_s))] {
+            for hypothesis in [*one, self.complete(linear, -one.rate_rad_s)] {
                 if !roots.iter().any(|other| same(other, &hypothesis)) {
                     let _ = roots.push(hypothesis);
                 }
@@ -106,38 +106,30 @@ impl<const M: usize> ArraySolver<M> {
     }
 
     fn complete(&self, linear: &Linear, rate: Vector3<f64>) -> Hypothesis {
-        let fit = self.evaluate(linear, &rate);
-        Hypothesis {
-            rate_rad_s: rate.into(),
-            information: fit.information.into(),
-            chi_square: fit.cost,
-        }
+        let Fit { cost, information, .. } = self.evaluate(linear, &rate);
+        Hypothesis { rate_rad_s: rate, information, chi_square: cost }
     }
 
     fn evaluate(&self, linear: &Linear, rate: &Vector3<f64>) -> Fit {
-        let (value, slope) = self.expected_z((*rate).into());
-        let (gradient, information) = (Vector3::zeros(), Matrix3::zeros());
-        let mut fit = Fit { cost: 0.0, gradient, information };
-        for row in 0..self.rank.min(6) {
-            let residual = linear.z[row] - value[row];
-            let slope = Vector3::from(slope[row]);
-            fit.cost += residual * residual;
-            fit.gradient += slope * residual;
-            fit.information += slope * slope.transpose();
+        let (value, slope) = self.expected_z(rate);
+        let residual = linear.z - value;
+        Fit {
+            cost: residual.norm_squared(),
+            gradient: slope.tr_mul(&residual),
+            information: slope.tr_mul(&slope),
         }
-        fit
     }
 }
 
 /// Whether two roots are one: at rest, or where two starts lead to one minimum.
 fn same(a: &Hypothesis, b: &Hypothesis) -> bool {
-    let apart = Vector3::from(a.rate_rad_s) - Vector3::from(b.rate_rad_s);
-    apart.dot(&(Matrix3::from(a.information) * apart)) <= SAME_ROOT_SIGMA2
+    let apart = a.rate_rad_s - b.rate_rad_s;
+    apart.dot(&(a.information * apart)) <= SAME_ROOT_SIGMA2
 }
 
 /// ω from the six monomials, up to its sign: equation (74).
-fn closed_form(q: &[f64; 6]) -> Vector3<f64> {
-    let [xx, yy, zz, yz, xz, xy] = *q;
+fn closed_form(q: &Vector6<f64>) -> Vector3<f64> {
+    let [xx, yy, zz, yz, xz, xy] = (*q).into();
     let largest = xx.max(yy).max(zz);
     let root = libm::sqrt(largest.max(0.0));
     if root <= 0.0 {

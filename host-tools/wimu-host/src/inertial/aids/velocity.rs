@@ -13,6 +13,7 @@ pub static VELOCITY: Kind = Kind {
     unit: SPEED,
     usual_sd: Some(0.2),
     is_whole: true,
+    needs: "beside positions a vehicle does not use them: a receiver filters its velocity more than its position",
     update: |aid, to| {
         // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (docs/reference/validation.md, car).
         if to.with_position && to.navigator.vehicle().is_some() {

@@ -4,11 +4,11 @@ use clap::Parser;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use wimu_host::allan::NoiseMeter;
-use wimu_host::calibration::{CalibrateOptions, Calibration, Difference, MethodChoice};
+use wimu_host::calibration::{CalibrateOptions, Calibration, Difference};
 use wimu_host::guided::{Guided, Plan};
 use wimu_host::live::LiveClient;
 use wimu_host::{Input, LinkUrl, Result};
-use wimu_model::ParameterSet;
+use wimu_model::{CalibrationMethod, ParameterSet};
 
 use super::board::{Board, Feed};
 use super::hub::Asker;
@@ -220,7 +220,8 @@ impl Board {
         let Some(hello) = &self.hello else {
             return Err(usage("the board is not known yet", "wait until it answers"));
         };
-        let method = if six { MethodChoice::SixPosition } else { MethodChoice::MultiPosition };
+        let method =
+            if six { CalibrationMethod::SixPosition } else { CalibrationMethod::MultiPosition };
         let options = CalibrateOptions {
             method,
             utc_s: crate::command::calibrate::utc_s(),

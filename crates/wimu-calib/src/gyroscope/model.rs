@@ -170,8 +170,7 @@ impl<'a> Rotations<'a> {
     /// Variances of the errors of a rest.
     fn variances(&self, rest: &Rest) -> SVector<f64, ERRORS> {
         let Noise { sample, bias, .. } = self.noise;
-        let white = sample / rest.samples + rest.rounding;
-        let rate = white + bias * rest.length_s / 12.0 + EARTH_LEVEL;
+        let rate = sample / rest.samples + bias * rest.length_s / 12.0 + EARTH_LEVEL;
         let direction = rest.force_variance / rest.force.norm_squared();
         SVector::from([rate, rate, rate, direction, direction, direction])
     }

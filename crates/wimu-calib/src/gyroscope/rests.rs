@@ -34,8 +34,6 @@ pub(super) struct Rest {
     /// Mean output of the gyroscope, rad/s, and variance of a sample of an axis.
     pub rate: Vector3<f64>,
     pub rate_variance: f64,
-    /// Variance of the mean of an axis by rounding, however many samples there are: equation (59).
-    pub rounding: f64,
     pub samples: f64,
     pub length_s: f64,
 }
@@ -45,8 +43,6 @@ pub(super) struct Session<'a> {
     pub given: &'a GyroscopeSession<'a>,
     pub limits_rad_s: [f64; 3],
     pub contradicted: Vec<usize>,
-    /// Step of the output, rad/s: the least change.
-    step_rad_s: f64,
 }
 
 /// From the output of the gyroscope to the angular rate.
@@ -79,13 +75,7 @@ impl<'a> Session<'a> {
             Some(range) => [SATURATED * range; 3],
             None => [0, 1, 2].map(|axis| limit(given.samples, axis)),
         };
-        let pairs = given.samples.windows(2);
-        let changes = pairs.flat_map(|pair| {
-            [0, 1, 2].map(|axis| (pair[1].rate_rad_s[axis] - pair[0].rate_rad_s[axis]).abs())
-        });
-        let step_rad_s = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
-        let step_rad_s = if step_rad_s.is_finite() { step_rad_s } else { 0.0 };
-        Self { given, limits_rad_s, contradicted: Vec::new(), step_rad_s }
+        Self { given, limits_rad_s, contradicted: Vec::new() }
     }
 
     /// `None` if its samples are not there, or not finite.
@@ -97,15 +87,13 @@ impl<'a> Session<'a> {
         let squares: f64 = vectors().map(|y| (y - rate).norm_squared()).sum();
         let accelerometer = self.given.accelerometer;
         let force = accelerometer.force(pose.mean_mps2, pose.temperature_c);
-        let rate_variance = squares / (3.0 * (count - 1.0).max(1.0));
         let rest = Rest {
             up: force.try_normalize(1e-3)?,
             force,
             force_variance: (accelerometer.rms_mps2 * accelerometer.rms_mps2)
                 .max(pose.mean_noise()),
             rate,
-            rate_variance,
-            rounding: (self.step_rad_s * self.step_rad_s - 4.0 * rate_variance).max(0.0) / 12.0,
+            rate_variance: squares / (3.0 * (count - 1.0).max(1.0)),
             samples: count,
             length_s: length_s(samples),
         };

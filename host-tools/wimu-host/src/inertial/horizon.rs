@@ -2,10 +2,31 @@
 
 use super::unit::median_step_s;
 use super::{InertialPath, PathPoint};
+use crate::plural::counted;
+use crate::{Code, Problem};
 
 /// A longer pause between samples is a gap: in s, or in median steps.
 const LEAST_GAP_S: f64 = 0.25;
 const GAP_STEPS: f64 = 4.0;
+
+/// A pause between samples beyond this is a gap, s.
+pub(super) fn gap_s(times_s: &[f64]) -> f64 {
+    LEAST_GAP_S.max(GAP_STEPS * median_step_s(times_s))
+}
+
+/// Pauses longer than `gap_s` between times, s, at which there is a sample or a range.
+pub(crate) fn gaps(times_s: &[f64], what: &str, gap_s: f64) -> Option<Problem> {
+    let pauses = times_s.windows(2).map(|pair| [pair[0], pair[1]]);
+    let gaps: Vec<[f64; 2]> = pauses.filter(|[from, to]| to - from > gap_s).collect();
+    let longest = gaps.iter().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
+    let [from, to] = *longest;
+    let text = format!(
+        "{} without a {what}, the longest of {:.1} s: σ grows there",
+        counted(gaps.len(), "time"),
+        to - from
+    );
+    Some(Code::Rate.note(text).between(from, to))
+}
 
 /// How long a position can be used.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -46,7 +67,7 @@ impl InertialPath {
         let at_s = known[end].time_s;
         // It is unknown whether it moved in a gap, or time jumped.
         let times_s: Vec<f64> = self.points.iter().map(|p| p.time_s).collect();
-        let gap_s = f64::max(LEAST_GAP_S, GAP_STEPS * median_step_s(&times_s));
+        let gap_s = gap_s(&times_s);
         let goes_on = |w: &&[PathPoint]| w[1].time_s - w[0].time_s <= gap_s;
         let moving = known[..=end].windows(2).filter(goes_on);
         let moving = moving.filter(|w| !w[1].resting);

@@ -51,6 +51,7 @@ pub use arrival::sampled_times;
 pub(crate) use clocks::{one_clock, other_clock};
 pub(crate) use frozen::Frozen;
 pub(crate) use holes::{FULL_SCALE_MPS2, Holes};
+pub(crate) use horizon::gaps;
 pub use horizon::{Horizon, RestTimes};
 pub use live::Live;
 pub use moves::Move;

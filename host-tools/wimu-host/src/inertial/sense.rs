@@ -45,7 +45,7 @@ const HELD_S: f64 = 3.0;
 /// What was found.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Senses {
-    /// Bias of the gyroscope that hides every rest, rad/s; zero where there is none.
+    /// Bias of the gyroscope that is taken off, rad/s: one that would hide every rest.
     pub rate_bias_rad_s: Vector3<f64>,
     /// Samples in which an axis of the gyroscope repeats its last value.
     pub frozen_rates: Vec<usize>,

@@ -11,6 +11,7 @@ use wimu_nav::stance::stances;
 use super::aids::Aid;
 use super::aids::position::LOOP;
 use super::aids::speed::SPEED;
+use super::horizon::{gap_s, gaps};
 use super::moves::moves;
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
@@ -27,9 +28,6 @@ const HELD_S: f64 = 0.25;
 /// Time of the initial alignment, s: at rest, and of a start in motion.
 const ALIGNMENT_S: f64 = 0.7;
 const SHORT_ALIGNMENT_S: f64 = 0.1;
-/// A longer time between samples is reported, s, and in median steps: the navigator does not integrate over it.
-const GAP_S: f64 = 0.1;
-const GAP_STEPS: f64 = 4.0;
 /// Headings at the start that are tried where fixes show the position, and time of the trial, s.
 pub(super) const HEADINGS: u32 = 12;
 const HEADING_TRIAL_S: f64 = 120.0;
@@ -139,7 +137,7 @@ impl<'a> Unit<'a> {
             );
             findings.insert(0, Code::Navigation.note(text));
         }
-        findings.extend(self.gaps());
+        findings.extend(gaps(self.times_s, "sample", gap_s(self.times_s)));
         let clipped = [(self.clipped.len(), "not used: σ grows there")];
         findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
         match choice.profile {
@@ -315,20 +313,6 @@ impl<'a> Unit<'a> {
         let text = format!("it moves like a foot, in {}", counted(steps, "step"));
         let remedy = "if it was on one: --profile foot, which knows the velocity in each stance";
         Some(Code::Navigation.warning(text).remedy(remedy))
-    }
-
-    /// Times without a sample.
-    fn gaps(&self) -> Option<Problem> {
-        let usual_s = median_step_s(self.times_s);
-        let is_gap = |pair: &&[f64]| pair[1] - pair[0] > GAP_S.max(GAP_STEPS * usual_s);
-        let gaps = self.times_s.windows(2).filter(is_gap);
-        let longest = gaps.clone().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
-        let text = format!(
-            "{} without a sample, the longest of {:.2} s: the motion there is not known, σ grows",
-            counted(gaps.count(), "time"),
-            longest[1] - longest[0]
-        );
-        Some(Code::Rate.note(text).between(longest[0], longest[1]))
     }
 
     /// No part of a motion is known relative to a rest that only ends it.

@@ -7,7 +7,7 @@ use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
 use crate::digits::significant;
-use crate::inertial::one_clock;
+use crate::inertial::{gaps, one_clock};
 use crate::plural::counted;
 use crate::series::Ns;
 use crate::stats::median;
@@ -43,7 +43,8 @@ pub(super) fn before(recording: &RangeRecording) -> Result<Vec<Problem>> {
     if seen.len() < least || count < LEAST_RANGES {
         return Err(Code::DataRefused.error(message, remedy).at(&recording.name));
     }
-    let mut found: Vec<Problem> = gaps(recording).into_iter().collect();
+    let times_s: Vec<f64> = recording.ranges.iter().map(|range| range.time_s).collect();
+    let mut found: Vec<Problem> = gaps(&times_s, "range", GAP_S).into_iter().collect();
     let anchors = recording.anchors.iter().enumerate();
     let silent = anchors.filter(|(k, _)| !seen.contains(k));
     let silent: Vec<&str> = silent.map(|(_, anchor)| anchor.id.as_str()).collect();
@@ -77,20 +78,6 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
     } else {
         "give a larger `limit_m` (--setup), or put anchors on more sides".to_owned()
     }
-}
-
-/// Times without a range.
-fn gaps(recording: &RangeRecording) -> Option<Problem> {
-    let steps = recording.ranges.windows(2).map(|pair| [pair[0].time_s, pair[1].time_s]);
-    let gaps: Vec<[f64; 2]> = steps.filter(|[from, to]| to - from > GAP_S).collect();
-    let longest = gaps.iter().max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
-    let [from, to] = *longest;
-    let text = format!(
-        "{} without a range, the longest of {:.1} s: σ grows there",
-        counted(gaps.len(), "time"),
-        to - from
-    );
-    Some(Code::Rate.note(text).between(from, to))
 }
 
 /// What a run shows.

@@ -24,7 +24,7 @@ impl KalibrNoise {
         })
     }
 
-    /// The report in the output of `wimu allan --json`; `None` where there is none.
+    /// The report in the output of `wimu allan --json`; `None` for other text, or without a measured random walk.
     pub fn parse(text: &str) -> Option<Self> {
         let mut envelope: Value = serde_json::from_str(text).ok()?;
         let noise = Self(envelope["data"].take());

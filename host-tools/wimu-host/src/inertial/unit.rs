@@ -12,7 +12,7 @@ use super::aids::Aid;
 use super::aids::position::LOOP;
 use super::aids::speed::SPEED;
 use super::horizon::{gap_s, gaps};
-use super::moves::moves;
+use super::moves::{Move, moves};
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
 use super::steps::{steps, turns_like_a_foot};
@@ -109,6 +109,10 @@ impl<'a> Unit<'a> {
         let steps = self.steps(choice, method);
         let rests = rests_of(&steps);
         let mut moves = moves(self, &rests, choice, method);
+        if method == Method::Tilt && choice.profile == Profile::Hand && self.slides(&rests, &moves)
+        {
+            return self.slide(choice, &rests);
+        }
         choice.aids.within(self.times_s).map_err(|error| error.at(self.name))?;
         let at_rest_first = self.first_rest(&rests).is_some();
         let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
@@ -159,6 +163,28 @@ impl<'a> Unit<'a> {
         path.states = navigator.states();
         path.aids = navigator.uses;
         path.residuals = navigator.residuals;
+        Ok(path)
+    }
+
+    /// Whether all motion is moves between rests at which gravity has one direction.
+    fn slides(&self, rests: &[bool], moves: &[Move]) -> bool {
+        let is_move =
+            |t: &f64| moves.iter().any(|one| one.valid && (one.from_s..=one.to_s).contains(t));
+        !moves.is_empty() && self.times_s.iter().zip(rests).all(|(t, rest)| *rest || is_move(t))
+    }
+
+    /// The path of a motion without rotation: an angular rate of zero takes the place of the gyroscope.
+    fn slide(&self, choice: &Choice, rests: &[bool]) -> Result<InertialPath> {
+        let still = |sample: &Sample| Sample { rate_rad_s: Some(Vector3::zeros()), ..*sample };
+        let samples: Vec<Sample> = self.samples.iter().map(still).collect();
+        let times = |rest: Range<usize>| self.times_s[rest.start]..=self.times_s[rest.end - 1];
+        let rests_s = Some(runs(rests).into_iter().map(times).collect());
+        let choice = Choice { profile: Profile::Slide, rests_s, ..choice.clone() };
+        let mut path = Unit { samples: &samples, ..*self }.path(&choice, Method::Strapdown)?;
+        path.method = Method::Tilt;
+        let text = "gravity has one direction at all rests: no rotation is assumed between them (one about the vertical would \
+                    not show)";
+        path.findings.push(Code::Navigation.note(text));
         Ok(path)
     }
 

@@ -71,6 +71,11 @@ pub(super) struct Recording<'a> {
 }
 
 impl Recording<'_> {
+    /// Gain of the log-likelihood of all ranges beyond which more parameters explain them better: Schwarz's criterion.
+    pub fn least_gain(&self, parameters: usize) -> f64 {
+        0.5 * parameters as f64 * (self.ranges.len() as f64).ln()
+    }
+
     /// Logarithm of the likelihood of the ranges up to a time, s.
     pub fn log_likelihood(&self, model: &Model, start: &Start, until_s: f64) -> f64 {
         self.navigated(model, start, until_s, None).log_likelihood

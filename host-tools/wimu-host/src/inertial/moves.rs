@@ -15,7 +15,7 @@ use super::unit::{Unit, runs};
 use super::{Choice, Method, PathPoint, Zupt};
 
 /// The shortest rest between two moves, s.
-const REST_S: f64 = 0.3;
+pub(super) const REST_S: f64 = 0.3;
 /// A rest of this length ends a move, even if the filter does not agree, s.
 const CERTAIN_REST_S: f64 = 1.0;
 /// Alignment uses the end of a rest, s.

@@ -233,8 +233,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     };
     let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
-    let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    let shift_s = if fits(&model, delay_s(&run)) && !run.navigator.is_contradicted() {
+    let shift_s = if fits(&model, run.delay()) && !run.navigator.is_contradicted() {
         None
     } else {
         clock_shift(&problem, &model)
@@ -242,7 +241,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     if let Some(shift_s) = shift_s {
         let shifted = Model { shift_s, ..prior };
         let found = solved(&problem, shifted, choice).map_err(at)?;
-        let explains = fits(&found.1, delay_s(&found.0));
+        let explains = fits(&found.1, found.0.delay());
         if is_last(shift_s) {
             return Err(at(findings::last_shift(shift_s)));
         }
@@ -252,7 +251,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     let corrected;
-    let contradicts = !fits(&model, delay_s(&run)) || run.navigator.suspected().is_some();
+    let contradicts = !fits(&model, run.delay()) || run.navigator.suspected().is_some();
     if contradicts && choice.survey_m.is_none() {
         let shifted = Model { shift_s: model.shift_s, ..prior };
         if let Some((error, found, solution)) =
@@ -316,7 +315,7 @@ fn with_scale(
     if explains { (scaled, start) } else { (model, chosen) }
 }
 
-/// The same with an error of the file of anchors that explains the ranges better, likewise.
+/// The same with an error of the file of anchors that explains the ranges, and better, likewise.
 fn with_anchors(
     problem: &Recording,
     prior: Model,
@@ -328,7 +327,8 @@ fn with_anchors(
     let found = solved(&corrected, prior, choice).ok()?;
     let gain = likelihood(&corrected, &found.1, &found.2) - likelihood(problem, model, chosen);
     // Three coordinates.
-    (gain > problem.least_gain(3)).then_some((error, ranging, found))
+    let explains = fits(&found.1, found.0.delay()) && gain > problem.least_gain(3);
+    explains.then_some((error, ranging, found))
 }
 
 /// Logarithm of the likelihood of all ranges.

@@ -56,6 +56,13 @@ pub(super) struct Run {
     pub delay_s: Option<Estimate>,
 }
 
+impl Run {
+    /// The delay, s, or zero where it is not estimated.
+    pub fn delay(&self) -> f64 {
+        self.delay_s.map_or(0.0, |[delay_s, _]| delay_s)
+    }
+}
+
 /// A recording to localize.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recording<'a> {

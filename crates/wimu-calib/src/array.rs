@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 use nalgebra::{DMatrix, DVector, Matrix2xX, Matrix3, Vector2, Vector3, Vector4};
 use wimu_model::{ErrorModel, ErrorTerms};
 
-use crate::least_squares::{self, Normal, Scaled, Settings};
+use crate::least_squares::{self, Normal, Rows, Settings};
 use crate::{Gravity, Pose, Reason, Refusal};
 
 /// Unknowns of an axis: bias and row of the matrix.
@@ -97,9 +97,8 @@ pub fn calibrate_array(
     let start = DVector::zeros(model.gravity() + 1);
     let moved = |at: &DVector<f64>, step: &DVector<f64>| at + step;
     let end = least_squares::iterate(&start, 1.0, SETTINGS, |at| model.normal(at), moved);
-    let found = end.filter(|end| end.converged).ok_or_else(diverged)?;
-    let normal = model.normal(&found.at).ok_or_else(diverged)?;
-    let covariance = Scaled::new(&normal.information, 0.0).ok_or_else(diverged)?.inverse();
+    let found = end.ok_or_else(diverged)?;
+    let covariance = found.information.inverse();
     Ok(ArrayEstimate {
         sensors: (0..model.sensors).map(|k| sensor(&found.at, &covariance, k)).collect(),
         matrix_sd: model.relative_matrix_sd(&covariance),
@@ -198,8 +197,12 @@ impl Model<'_> {
     /// Sums over all rests and the priors. The direction of gravity at each rest is eliminated.
     fn normal(&self, at: &DVector<f64>) -> Option<Normal> {
         let n = at.len();
-        let mut sums =
-            Normal { information: DMatrix::zeros(n, n), gradient: DVector::zeros(n), cost: 0.0 };
+        let mut sums = Normal {
+            rows: Rows::zeros(0, n),
+            information: DMatrix::zeros(n, n),
+            gradient: DVector::zeros(n),
+            cost: 0.0,
+        };
         let gravity = self.prior.gravity_mps2 + at[self.gravity()];
         for rest in self.rests {
             let rows = self.rows(rest, at);

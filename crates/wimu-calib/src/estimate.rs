@@ -2,8 +2,10 @@
 
 use alloc::vec::Vec;
 
+use nalgebra::DMatrix;
 use wimu_model::{CalibrationMethod, CentiCelsius, ErrorModel, ErrorTerms, SpecificForceMps2};
 
+use crate::magnitude::condition;
 use crate::terms::{self, Term, Terms};
 use crate::{Covariance, Gravity, Parameter, Parameters, Pose, student};
 
@@ -63,8 +65,8 @@ pub struct Estimate {
     pub pose_sd_mps2: f64,
     /// Indices of the poses rejected as outliers.
     pub rejected: Vec<usize>,
-    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g; 1 is best.
-    pub condition: f64,
+    /// Cofactor matrix (JᵀJ)⁻¹ of the fitted parameters, scaled to m/s² at 1 g; empty for an orthogonal design.
+    pub(crate) cofactors: DMatrix<f64>,
     /// Predicted standard deviation of |f| − g in the worst of 26 orientations, m/s².
     pub worst_sd_mps2: f64,
     /// Mean temperature of the poses that have one, °C.
@@ -94,7 +96,6 @@ impl Estimate {
             fitted_rms_mps2: residuals.rms(),
             max_mps2: residuals.largest,
             worst_pose: residuals.worst,
-            condition: 1.0,
             ..Self::default()
         }
     }
@@ -107,6 +108,11 @@ impl Estimate {
             return Parameters::default();
         }
         Parameters::ALL.without(self.fitted)
+    }
+
+    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g; 1 is best.
+    pub fn condition(&self) -> f64 {
+        if self.cofactors.is_empty() { 1.0 } else { condition(&self.cofactors) }
     }
 
     /// Standard deviations of the parameters and terms in the form of the model: for unobserved ones the tolerance of

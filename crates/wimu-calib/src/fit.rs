@@ -3,10 +3,12 @@
 use alloc::format;
 use alloc::vec::Vec;
 
+use nalgebra::DMatrix;
 use wimu_model::{CalibrationMethod, ErrorModel, ErrorTerms, TemperatureTerms};
 
 use crate::estimate::{Drift, Residuals};
 use crate::force::Conditions;
+use crate::least_squares::End;
 use crate::magnitude::{Fit, Knowledge, Magnitude, Shared};
 use crate::multi_position::range;
 use crate::terms::{self, PERFECT, Term, Terms, Theta};
@@ -117,7 +119,7 @@ fn near_solution(problem: &mut Magnitude) -> Option<Knowledge> {
 fn searched(problem: &mut Magnitude, squares: Option<Fit>) -> Result<Option<Fit>, Refusal> {
     // A gross outlier may keep least squares, but not the robust fit, from converging.
     let converged = squares.is_some();
-    let robust = || problem.solve_robust(&PERFECT, FAR_OFF_MPS2);
+    let robust = || problem.solve_robust(&PERFECT, FAR_OFF_MPS2).map(End::fit);
     let Some(first) = squares.or_else(robust) else {
         return Ok(None);
     };
@@ -182,8 +184,7 @@ impl Found<'_> {
             .map_err(|error| Refusal::out_of_bounds(error, "an accelerometer"))?;
         let too_few = || too_few_poses(problem.independent().0, *what);
         let shared = problem.shared(fit).ok_or_else(too_few)?;
-        let residuals = problem.residuals(theta);
-        let kept = Residuals::of(problem.kept().map(|k| (k, residuals[k])));
+        let kept = Residuals::of(problem.kept().map(|k| (k, fit.rows.residual[k])));
         if kept.rms() > SUSPICIOUS_RMS_MPS2
             && let Some(axis) = input::clipped_axis(poses)
         {
@@ -214,13 +215,23 @@ impl Found<'_> {
         }
     }
 
+    /// Standard deviation of |f| − g in the worst orientation, relative to that of the residuals.
+    fn amplification(&self, spread: &DMatrix<f64>) -> f64 {
+        let Self { problem, fit, knowledge, .. } = self;
+        // Observability is of equal weights without repetitions.
+        if problem.weighting.is_equal() && *spread == fit.inverse {
+            return knowledge.amplification;
+        }
+        problem.worst(&fit.at, spread).map_or(f64::INFINITY, |(amplification, _)| amplification)
+    }
+
     /// The estimate, judged by leaving poses out.
     pub fn estimate(&self) -> Result<Estimate, Refusal> {
         let Basis { model, covariance, rms_mps2, shared } = self.basis()?;
         let Self { problem, fit, what, .. } = self;
         let (poses, free) = (problem.poses, &problem.free);
         let theta: &Theta = &fit.at;
-        let all = Residuals::of(problem.residuals(theta).into_iter().enumerate());
+        let all = Residuals::of((0..poses.len()).map(|k| (k, fit.rows.residual[k])));
         let left_out = problem.left_out(fit, true);
         // By orientation: a repeated orientation does not confirm the model elsewhere.
         let again = problem.independent().1;
@@ -264,7 +275,7 @@ impl Found<'_> {
             term_sd,
             gravity: self.gravity,
             poses: problem.count(),
-            orientations: problem.groups().len(),
+            orientations: problem.orientations(),
             dof: (problem.count() as f64 - problem.determined(fit)).max(0.0) as usize,
             interval_dof: Some(shared.dof),
             prior_shares,
@@ -276,8 +287,8 @@ impl Found<'_> {
             loo_orientation_rms_mps2: by_orientation.map(|left| of_kept(&left).rms()),
             pose_sd_mps2: problem.weighting.common_sd().unwrap_or(sd),
             rejected: problem.rejected.clone(),
-            condition: self.knowledge.condition,
-            worst_sd_mps2: sd * problem.amplification(theta, &shared.spread),
+            cofactors: self.knowledge.cofactors.clone(),
+            worst_sd_mps2: sd * self.amplification(&shared.spread),
             temperature_c: pose::mean_temperature(poses.iter()),
             temperature_range_c: range(poses, |pose| pose.temperature_c),
             drift: self.terms.contains(Term::Drift).then(|| Drift {

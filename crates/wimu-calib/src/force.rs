@@ -60,6 +60,7 @@ impl<'a> Evaluated<'a> {
     }
 
     /// Specific force from `output`: equation (41).
+    #[inline]
     fn apply(&self, output: [f64; 3], progress: f64, warmer: f64) -> Applied {
         let theta = self.theta;
         let warm = (self.warms && warmer != 0.0).then(|| inverse(theta, warmer)).flatten();
@@ -73,6 +74,7 @@ impl<'a> Evaluated<'a> {
     }
 
     /// Of a pose.
+    #[inline]
     pub fn pose(&self, pose: &Pose, conditions: &Conditions) -> Applied {
         self.apply(pose.mean_mps2, conditions.progress(pose), conditions.warmer(pose))
     }
@@ -83,6 +85,7 @@ impl<'a> Evaluated<'a> {
     }
 
     /// ∂|f|/∂θ of all parameters: equations (13) and (41).
+    #[inline]
     pub fn derivatives(&self, at: &Applied) -> Theta {
         let theta = self.theta;
         let m = Vector3::from_fn(|i, _| at.force[i] * (1.0 - 2.0 * theta[21 + i] * at.z[i]));

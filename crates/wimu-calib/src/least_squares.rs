@@ -4,8 +4,6 @@
 //! Levenberg-Marquardt. A Gaussian prior is a row with weight 1/σ², and an observation of weight 0 is left out. The
 //! covariance for residuals of unit variance is (JᵀWJ)⁻¹; leaving observations out follows from the hat matrix.
 
-use alloc::vec::Vec;
-
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Largest number of iterations; a fit that needs more has not converged. Typical: 3 to 6.
@@ -19,10 +17,19 @@ const MOST_DAMPING: f64 = 1e8;
 const MOST_LEVERAGE: f64 = 0.5;
 
 /// Residuals of a model at a point, a row for each observation.
+#[derive(Clone, Debug)]
 pub(crate) struct Rows {
     pub residual: DVector<f64>,
     /// Derivatives by the unknowns.
     pub jacobian: DMatrix<f64>,
+}
+
+impl Rows {
+    pub fn zeros(observations: usize, unknowns: usize) -> Self {
+        let zeros = alloc::vec![0.0; observations * unknowns];
+        let jacobian = DMatrix::from_vec(observations, unknowns, zeros);
+        Self { residual: DVector::zeros(observations), jacobian }
+    }
 }
 
 /// What is fitted: observations as functions of a point.
@@ -57,36 +64,46 @@ pub(crate) struct Fit<P> {
     pub inverse: DMatrix<f64>,
     /// Σ w r².
     pub cost: f64,
+    /// Residuals of all observations at the solution; [`Fit::change`] leaves them.
+    pub rows: Rows,
 }
 
 /// The normal equations at a point: JᵀWJ, JᵀWr and Σ w ρ(r).
 pub(crate) struct Normal {
+    /// What they are formed of; without rows where the sums are formed otherwise.
+    pub rows: Rows,
     pub information: DMatrix<f64>,
     pub gradient: DVector<f64>,
     pub cost: f64,
 }
 
 impl Normal {
-    fn new(rows: &Rows, weights: &[f64], cauchy: Option<f64>) -> Option<Self> {
-        let mut weighted = rows.jacobian.clone();
-        let mut pulls = rows.residual.clone();
+    fn new(rows: Rows, weights: &[f64], cauchy: Option<f64>) -> Option<Self> {
+        let mut effective = DVector::from_column_slice(weights);
         let mut cost = 0.0;
-        for (k, &weight) in weights.iter().enumerate() {
-            let residual = rows.residual[k];
-            let (mut own, mut weight) = (weight * residual * residual, weight);
-            if weight == 0.0 {
-                own = 0.0;
-            } else if let Some(cauchy) = cauchy {
-                let grown = 1.0 + residual * residual / (cauchy * cauchy);
-                (own, weight) = (weight * cauchy * cauchy * libm::log(grown), weight / grown);
+        for (weight, residual) in effective.iter_mut().zip(&rows.residual) {
+            let square = residual * residual;
+            if *weight == 0.0 {
+                continue;
             }
-            cost += own;
-            pulls[k] *= weight;
-            weighted.row_mut(k).scale_mut(weight);
+            let Some(cauchy) = cauchy else {
+                cost += *weight * square;
+                continue;
+            };
+            let grown = 1.0 + square / (cauchy * cauchy);
+            cost += *weight * cauchy * cauchy * libm::log(grown);
+            *weight /= grown;
         }
-        let information = rows.jacobian.tr_mul(&weighted);
-        let gradient = rows.jacobian.tr_mul(&pulls);
-        cost.is_finite().then_some(Self { information, gradient, cost })
+        let mut weighted = rows.jacobian.clone();
+        weighted.column_iter_mut().for_each(|mut of| of.component_mul_assign(&effective));
+        let gradient = weighted.tr_mul(&rows.residual);
+        let unknowns = weighted.ncols();
+        let mut information = DMatrix::zeros(unknowns, unknowns);
+        for (r, c) in (0..unknowns).flat_map(|c| (c..unknowns).map(move |r| (r, c))) {
+            information[(r, c)] = rows.jacobian.column(r).dot(&weighted.column(c));
+        }
+        information.fill_upper_triangle_with_lower_triangle();
+        cost.is_finite().then_some(Self { rows, information, gradient, cost })
     }
 }
 
@@ -104,10 +121,7 @@ impl Scaled {
         if !scale.iter().all(|scale| scale.is_finite()) {
             return None;
         }
-        let mut scaled = matrix.clone();
-        for (r, c) in (0..scale.len()).flat_map(|r| (0..scale.len()).map(move |c| (r, c))) {
-            scaled[(r, c)] *= scale[r] * scale[c];
-        }
+        let mut scaled = on_both_sides(matrix.clone(), &scale);
         for i in 0..scale.len() {
             scaled[(i, i)] += damping;
         }
@@ -125,27 +139,37 @@ impl Scaled {
     }
 
     pub fn inverse(&self) -> DMatrix<f64> {
-        let mut inverse = self.factor.inverse();
-        for (r, mut row) in inverse.row_iter_mut().enumerate() {
-            for (c, element) in row.iter_mut().enumerate() {
-                *element *= self.scale[r] * self.scale[c];
-            }
-        }
-        inverse
+        on_both_sides(self.factor.inverse(), &self.scale)
     }
+}
+
+/// Multiplies rows and columns of `matrix` by `scale`.
+pub(crate) fn on_both_sides(mut matrix: DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    for (mut column, factor) in matrix.column_iter_mut().zip(scale) {
+        column.component_mul_assign(scale);
+        column *= *factor;
+    }
+    matrix
 }
 
 /// Where an iteration ended.
 pub(crate) struct End<P> {
     pub at: P,
     /// JᵀWJ near there.
-    pub information: DMatrix<f64>,
+    pub information: Scaled,
     pub cost: f64,
-    pub converged: bool,
+    pub rows: Rows,
+}
+
+impl<P> End<P> {
+    pub fn fit(self) -> Fit<P> {
+        let inverse = self.information.inverse();
+        Fit { at: self.at, inverse, cost: self.cost, rows: self.rows }
+    }
 }
 
 /// Levenberg-Marquardt from `start` on normal equations of `count` observations. `None` where they are not defined at
-/// the start, or an unknown is not determined.
+/// the start, an unknown is not determined, or it does not converge.
 pub(crate) fn iterate<P: Clone>(
     start: &P,
     count: f64,
@@ -167,12 +191,15 @@ pub(crate) fn iterate<P: Clone>(
             continue;
         };
         let (step, change) = factor.solve(&normal.gradient);
-        let trial = moved(&at, &-step);
+        let step = -step;
+        let trial = moved(&at, &step);
         // The step lowers the cost by the square of the change of the residuals.
         let gained = change * change;
         if damping <= 0.0 && libm::sqrt(gained / count) <= last_step {
             let cost = (normal.cost - gained).max(0.0);
-            return Some(End { at: trial, information: normal.information, cost, converged: true });
+            let mut rows = normal.rows;
+            rows.residual.gemv(1.0, &rows.jacobian, &step, 1.0);
+            return Some(End { at: trial, information: factor, cost, rows });
         }
         let rounding = 20.0 * f64::EPSILON * settings.magnitude * libm::sqrt(normal.cost * count);
         match sums(&trial) {
@@ -180,12 +207,11 @@ pub(crate) fn iterate<P: Clone>(
                 (at, normal) = (trial, next);
                 damping = if damping > LEAST_DAMPING { damping * 0.1 } else { 0.0 };
             }
-            _ if damping > MOST_DAMPING => break,
+            _ if damping > MOST_DAMPING => return None,
             _ => damping = more(damping),
         }
     }
-    let Normal { information, cost, .. } = normal;
-    Some(End { at, information, cost, converged: false })
+    None
 }
 
 /// Minimises the cost of `model` from `start`. `None` when it does not converge or an unknown is not determined.
@@ -195,11 +221,19 @@ pub(crate) fn minimise<M: ResidualModel>(
     weights: &[f64],
     settings: Settings,
 ) -> Option<Fit<M::Point>> {
-    let sums = |at: &M::Point| Normal::new(&model.rows(at)?, weights, settings.cauchy);
+    Some(end(model, start, weights, settings)?.fit())
+}
+
+/// [`minimise`] without the covariance.
+pub(crate) fn end<M: ResidualModel>(
+    model: &M,
+    start: &M::Point,
+    weights: &[f64],
+    settings: Settings,
+) -> Option<End<M::Point>> {
+    let sums = |at: &M::Point| Normal::new(model.rows(at)?, weights, settings.cauchy);
     let count = weights.iter().filter(|weight| **weight > 0.0).count() as f64;
-    let end = iterate(start, count, settings, sums, |at, step| model.moved(at, step))?;
-    let inverse = Scaled::new(&end.information, 0.0)?.inverse();
-    end.converged.then_some(Fit { at: end.at, inverse, cost: end.cost })
+    iterate(start, count, settings, sums, |at, step| model.moved(at, step))
 }
 
 fn more(damping: f64) -> f64 {
@@ -222,40 +256,77 @@ impl<P: Clone> Fit<P> {
         gain * (-factor * residual)
     }
 
-    /// Residuals of the observations `group` under the fit to all others: equation (16). `None` if the others do not
+    /// Variance that the fit gives to each observation, for residuals of unit variance: the diagonal of J P Jᵀ.
+    pub fn variances(&self) -> DVector<f64> {
+        quadratic_forms(&self.rows.jacobian, &self.inverse)
+    }
+
+    /// Residual of each observation under the fit to those outside its group: equation (16). Infinite if these do not
     /// determine the unknowns.
     pub fn left_out<M: ResidualModel<Point = P>>(
         &self,
         model: &M,
-        rows: &Rows,
+        weights: &[f64],
+        groups: impl Iterator<Item = impl AsRef<[usize]>>,
+        settings: Settings,
+    ) -> DVector<f64> {
+        let variances = self.variances();
+        let mut left = self.rows.residual.clone();
+        for group in groups {
+            let group = group.as_ref();
+            let leverage: f64 = group.iter().map(|k| weights[*k] * variances[*k]).sum();
+            if let [alone] = *group
+                && leverage <= MOST_LEVERAGE
+            {
+                left[alone] /= 1.0 - leverage;
+                continue;
+            }
+            let found = if leverage > MOST_LEVERAGE {
+                self.refitted(model, weights, group, settings)
+            } else {
+                self.taken_out(weights, group)
+            };
+            let found = found.filter(|found| found.iter().all(|r| r.is_finite()));
+            for (i, k) in group.iter().enumerate() {
+                left[*k] = found.as_ref().map_or(f64::INFINITY, |found| found[i]);
+            }
+        }
+        left
+    }
+
+    /// Residuals of `group` under a refit of all others.
+    fn refitted<M: ResidualModel<Point = P>>(
+        &self,
+        model: &M,
         weights: &[f64],
         group: &[usize],
         settings: Settings,
     ) -> Option<DVector<f64>> {
-        let leverage = |&k: &usize| weights[k] * self.variance(&rows.jacobian.row(k).transpose());
-        let leverage: f64 = group.iter().map(leverage).sum();
-        let residual = rows.residual.select_rows(group);
-        let found = if leverage > MOST_LEVERAGE {
-            let mut others: Vec<f64> = weights.to_vec();
-            group.iter().for_each(|k| others[*k] = 0.0);
-            let without = minimise(model, &self.at, &others, settings)?;
-            model.rows(&without.at)?.residual.select_rows(group)
-        } else if group.len() == 1 {
-            residual / (1.0 - leverage)
-        } else {
-            // In the space of the unknowns: a group may have far more observations.
-            let jacobian = rows.jacobian.select_rows(group);
-            let mut weighted = jacobian.clone();
-            for (mut row, k) in weighted.row_iter_mut().zip(group) {
-                row.scale_mut(weights[*k]);
-            }
-            let taken = &self.inverse * jacobian.tr_mul(&weighted);
-            let rest = DMatrix::identity(taken.nrows(), taken.ncols()) - taken;
-            let step = rest.lu().solve(&(&self.inverse * weighted.tr_mul(&residual)))?;
-            residual + jacobian * step
-        };
-        found.iter().all(|r| r.is_finite()).then_some(found)
+        let mut others = weights.to_vec();
+        group.iter().for_each(|k| others[*k] = 0.0);
+        let without = minimise(model, &self.at, &others, settings)?;
+        Some(model.rows(&without.at)?.residual.select_rows(group))
     }
+
+    /// Residuals of `group` under the linearised fit to all others.
+    fn taken_out(&self, weights: &[f64], group: &[usize]) -> Option<DVector<f64>> {
+        // In the space of the unknowns: a group may have far more observations.
+        let residual = self.rows.residual.select_rows(group);
+        let jacobian = self.rows.jacobian.select_rows(group);
+        let mut weighted = jacobian.clone();
+        for (mut row, k) in weighted.row_iter_mut().zip(group) {
+            row.scale_mut(weights[*k]);
+        }
+        let taken = &self.inverse * jacobian.tr_mul(&weighted);
+        let rest = DMatrix::identity(taken.nrows(), taken.ncols()) - taken;
+        let step = rest.lu().solve(&(&self.inverse * weighted.tr_mul(&residual)))?;
+        Some(residual + jacobian * step)
+    }
+}
+
+/// xᵀ M x of each row x.
+pub(crate) fn quadratic_forms(rows: &DMatrix<f64>, matrix: &DMatrix<f64>) -> DVector<f64> {
+    (rows * matrix).component_mul(rows).column_sum()
 }
 
 #[cfg(test)]
@@ -264,6 +335,7 @@ mod thermal_bias;
 #[cfg(test)]
 mod tests {
     use alloc::vec;
+    use alloc::vec::Vec;
 
     use super::*;
 
@@ -315,9 +387,8 @@ mod tests {
         // One observation is wrong: left out, it is off by its whole error; a Cauchy cost ignores it.
         growth.values[4] += 0.2;
         let wrong = minimise(&growth, &[0.0, 0.0], &weights, EXACT).expect("converges");
-        let rows = growth.rows(&wrong.at).expect("defined");
-        let left = wrong.left_out(&growth, &rows, &weights, &[4], EXACT).expect("determined");
-        assert!((left[0] + 0.2).abs() < 0.02 && rows.residual[4] > -0.19, "{left}");
+        let left = wrong.left_out(&growth, &weights, [[4]].iter(), EXACT);
+        assert!((left[4] + 0.2).abs() < 0.02 && wrong.rows.residual[4] > -0.19, "{left}");
         let robust = Settings { cauchy: Some(1e-3), ..EXACT };
         let found = minimise(&growth, &wrong.at, &weights, robust).expect("converges");
         assert!((found.at[1] + 0.8).abs() < 1e-3, "{}", found.at[1]);

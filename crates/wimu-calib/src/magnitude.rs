@@ -10,7 +10,9 @@ use alloc::vec::Vec;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::force::{Conditions, Evaluated};
-use crate::least_squares::{self, ResidualModel, Rows, Scaled, Settings};
+use crate::least_squares::{
+    self, End, ResidualModel, Rows, Scaled, Settings, on_both_sides, quadratic_forms,
+};
 use crate::terms::{self, PERFECT, Theta, USUAL_BIAS_MPS2};
 use crate::visits::Visits;
 use crate::weights::{USUAL_DOF, USUAL_MPS2, Weighting};
@@ -18,9 +20,9 @@ use crate::{Orientation, Pose, Reason, Refusal};
 
 /// Convergence threshold: rms change of the residuals in a Gauss-Newton step, m/s². The remaining
 /// error is smaller than the last step by the ratio of residuals to gravity, 10⁻³ or less.
-const LAST_STEP_MPS2: f64 = 1e-6;
+const LAST_STEP_MPS2: f64 = 1e-5;
 /// The same for a robust fit, which only ranks poses: fraction of the scale of its cost.
-const LAST_ROBUST_STEP: f64 = 1e-3;
+const LAST_ROBUST_STEP: f64 = 1e-2;
 /// Largest amplification of an error from the poses to other orientations. Twelve well distributed
 /// poses give 1 to 2, twelve random ones 4.
 const MOST_AMPLIFICATION: f64 = 10.0;
@@ -52,15 +54,11 @@ impl ResidualModel for Magnitude<'_> {
     fn rows(&self, theta: &Theta) -> Option<Rows> {
         let at = Evaluated::new(theta)?;
         let (n, p, priors) = (self.poses.len(), self.free.len(), self.priors().count());
-        let mut rows =
-            Rows { residual: DVector::zeros(n + priors), jacobian: DMatrix::zeros(n + priors, p) };
+        let mut rows = Rows::zeros(n + priors, p);
         for (k, pose) in self.poses.iter().enumerate() {
             let applied = at.pose(pose, &self.conditions);
-            let all = at.derivatives(&applied);
             rows.residual[k] = applied.force.norm() - self.gravity_mps2;
-            for (i, index) in self.free.iter().enumerate() {
-                rows.jacobian[(k, i)] = all[*index];
-            }
+            self.set_row(&mut rows.jacobian, k, &at.derivatives(&applied));
         }
         for (row, (i, root)) in (n..).zip(self.priors()) {
             let index = self.free[i];
@@ -91,8 +89,10 @@ pub(crate) struct Shared {
 
 /// Observability of the fitted parameters: equation (17).
 pub(crate) struct Knowledge {
-    /// Condition number of the Jacobian, with its parameters scaled to m/s² at 1 g.
-    pub condition: f64,
+    /// Cofactor matrix (JᵀJ)⁻¹ with the parameters scaled to m/s² at 1 g.
+    pub cofactors: DMatrix<f64>,
+    /// Standard deviation of |f| − g in the worst orientation, relative to that of the residuals.
+    pub amplification: f64,
     /// The orientation in which |f| − g is known worst: a pose there adds most information.
     pub poorest: Orientation,
     /// Whether it is good enough.
@@ -101,7 +101,7 @@ pub(crate) struct Knowledge {
 
 impl Knowledge {
     pub fn refusal(&self) -> Refusal {
-        let number = thousands(self.condition);
+        let number = thousands(condition(&self.cofactors));
         let text = format!(
             "These poses do not determine the model (condition number {number}). Add poses with {}, and with {}.",
             self.poorest,
@@ -109,6 +109,14 @@ impl Knowledge {
         );
         Refusal::new(Reason::NotObservable, text)
     }
+}
+
+/// Condition number of the Jacobian of a cofactor matrix.
+pub(crate) fn condition(cofactors: &DMatrix<f64>) -> f64 {
+    let values = cofactors.symmetric_eigenvalues();
+    // A zero eigenvalue comes out as rounding of about this size.
+    let floor = values.max() * f64::EPSILON * 0.5;
+    libm::sqrt(values.max() / values.min().max(floor))
 }
 
 /// A number in groups of three digits.
@@ -234,11 +242,11 @@ impl<'a> Magnitude<'a> {
 
     /// Robust fit with the Cauchy cost of scale `cauchy`, m/s²: large residuals have little
     /// influence.
-    pub fn solve_robust(&self, start: &Theta, cauchy: f64) -> Option<Fit> {
+    pub fn solve_robust(&self, start: &Theta, cauchy: f64) -> Option<End<Theta>> {
         let of_pose = |k: usize| if self.is_rejected(k) { 0.0 } else { 1.0 };
         let priors = self.priors().map(|_| 1.0);
         let weights: Vec<f64> = (0..self.poses.len()).map(of_pose).chain(priors).collect();
-        least_squares::minimise(self, start, &weights, self.settings(Some(cauchy)))
+        least_squares::end(self, start, &weights, self.settings(Some(cauchy)))
     }
 
     pub fn is_rejected(&self, pose: usize) -> bool {
@@ -307,23 +315,13 @@ impl<'a> Magnitude<'a> {
     /// The residual of each pose under the fit to the poses of other orientations, or with `each` to all other poses;
     /// infinite if those do not determine the parameters. A rejected pose has its residual.
     pub fn left_out(&self, fit: &Fit, each: bool) -> Vec<f64> {
-        let (Some(rows), weights) = (self.rows(&fit.at), self.weights()) else {
-            return alloc::vec![f64::INFINITY; self.poses.len()];
-        };
-        let settings = self.settings(None);
-        let mut left: Vec<f64> = rows.residual.iter().copied().take(self.poses.len()).collect();
-        let mut leave_out = |group: &[usize]| {
-            let found = fit.left_out(self, &rows, &weights, group, settings);
-            for (i, k) in group.iter().enumerate() {
-                left[*k] = found.as_ref().map_or(f64::INFINITY, |found| found[i]);
-            }
-        };
-        if each {
-            self.kept().for_each(|k| leave_out(&[k]));
+        let (weights, settings) = (self.weights(), self.settings(None));
+        let left = if each {
+            fit.left_out(self, &weights, self.kept().map(|k| [k]), settings)
         } else {
-            self.groups().iter().for_each(|group| leave_out(group));
-        }
-        left
+            fit.left_out(self, &weights, self.groups().iter(), settings)
+        };
+        left.iter().copied().take(self.poses.len()).collect()
     }
 
     /// The fitted poses by orientation.
@@ -334,12 +332,16 @@ impl<'a> Magnitude<'a> {
         groups
     }
 
-    /// Number of independent observations among the fitted poses, and whether orientations are repeated.
-    pub fn independent(&self) -> (usize, bool) {
+    /// Number of orientations of the fitted poses.
+    pub fn orientations(&self) -> usize {
         let mut seen = alloc::vec![false; self.visits.orientations()];
         self.kept().for_each(|k| seen[self.visits.group(k)] = true);
-        let orientations = seen.into_iter().filter(|seen| *seen).count();
-        let apart = crate::visits::apart(self.count(), orientations);
+        seen.into_iter().filter(|seen| *seen).count()
+    }
+
+    /// Number of independent observations among the fitted poses, and whether orientations are repeated.
+    pub fn independent(&self) -> (usize, bool) {
+        let apart = crate::visits::apart(self.count(), self.orientations());
         (apart, apart < self.count())
     }
 
@@ -354,7 +356,7 @@ impl<'a> Magnitude<'a> {
         }
         // Sums over the poses of each orientation, with residuals e and rows x multiplied by the
         // root of the weight: Σ e; G = Σ g gᵀ with g = Σ x; Σ m²; Σ m g gᵀ.
-        let (all, weights, groups) = (self.rows(&fit.at)?, self.weights(), self.groups());
+        let (weights, groups) = (self.weights(), self.groups());
         let mut rows = DMatrix::zeros(self.free.len(), self.free.len());
         let mut weighted = rows.clone();
         let (mut squares, mut together) = (0.0, 0.0);
@@ -365,8 +367,8 @@ impl<'a> Magnitude<'a> {
             let mut row = DVector::zeros(self.free.len());
             for k in group {
                 let root = libm::sqrt(weights[*k]);
-                sum += root * all.residual[*k];
-                row += all.jacobian.row(*k).transpose() * root;
+                sum += root * fit.rows.residual[*k];
+                row += fit.rows.jacobian.row(*k).transpose() * root;
             }
             together += sum * sum;
             rows.ger(1.0, &row, &row, 1.0);
@@ -411,11 +413,11 @@ impl<'a> Magnitude<'a> {
         shared
     }
 
-    /// JᵀJ at `theta`, with equal weights of the fitted poses.
-    fn information(&self, theta: &Theta) -> Option<DMatrix<f64>> {
+    /// JᵀJ with equal weights of the fitted poses.
+    fn information(&self, rows: &Rows) -> DMatrix<f64> {
         let kept: Vec<usize> = self.kept().collect();
-        let jacobian = self.rows(theta)?.jacobian.select_rows(&kept);
-        Some(jacobian.tr_mul(&jacobian))
+        let jacobian = rows.jacobian.select_rows(&kept);
+        jacobian.tr_mul(&jacobian)
     }
 
     /// Observability of the fitted parameters, with equal weights.
@@ -423,19 +425,20 @@ impl<'a> Magnitude<'a> {
         if self.has_priors() {
             let knowledge = self.with_inverse(&fit.at, &fit.inverse)?;
             // Poses in a plane show the bias normal to it only by its square, which the derivatives of a perfect sensor lack.
-            let suffices = self.determines_bias(&fit.at) && self.determines_bias(&PERFECT);
+            let at_perfect = self.rows(&PERFECT)?;
+            let suffices = self.determines_bias(&fit.rows) && self.determines_bias(&at_perfect);
             return Some(Knowledge { suffices, ..knowledge });
         }
         if self.weighting.is_equal() {
             return self.with_inverse(&fit.at, &fit.inverse);
         }
-        let inverse = Scaled::new(&self.information(&fit.at)?, 0.0)?.inverse();
+        let inverse = Scaled::new(&self.information(&fit.rows), 0.0)?.inverse();
         self.with_inverse(&fit.at, &inverse)
     }
 
     /// Whether poses of usual scatter determine the bias, beside the priors.
-    fn determines_bias(&self, theta: &Theta) -> bool {
-        let Some(mut information) = self.information(theta) else { return false };
+    fn determines_bias(&self, rows: &Rows) -> bool {
+        let mut information = self.information(rows);
         for (i, sd) in self.prior_sd.iter().enumerate() {
             let root = sd.map_or(0.0, |sd| USUAL_MPS2 / sd);
             information[(i, i)] += root * root;
@@ -448,7 +451,7 @@ impl<'a> Magnitude<'a> {
 
     /// Observability at `theta`, which need not be a solution; the parameters may be undetermined.
     pub fn knowledge_at(&self, theta: &Theta) -> Option<Knowledge> {
-        let (information, units) = (self.information(theta)?, self.units());
+        let (information, units) = (self.information(&self.rows(theta)?), self.units());
         let scale = &units * units.transpose();
         let mut eigen = information.component_mul(&scale).symmetric_eigen();
         // A zero eigenvalue comes out as rounding.
@@ -463,36 +466,37 @@ impl<'a> Magnitude<'a> {
         DVector::from_iterator(self.free.len(), units)
     }
 
-    /// Standard deviation of |f| − g in the worst orientation, relative to that of the residuals.
-    pub fn amplification(&self, theta: &Theta, inverse: &DMatrix<f64>) -> f64 {
-        self.worst(theta, inverse).map_or(f64::INFINITY, |(amplification, _)| amplification)
-    }
-
-    fn worst(&self, theta: &Theta, inverse: &DMatrix<f64>) -> Option<(f64, Orientation)> {
+    /// Standard deviation of |f| − g in the worst orientation, relative to that of the residuals, and the orientation.
+    pub fn worst(&self, theta: &Theta, inverse: &DMatrix<f64>) -> Option<(f64, Orientation)> {
         let at = Evaluated::new(theta)?;
-        let (mut worst, mut poorest) = (0.0, Orientation::ALL[0]);
-        for orientation in Orientation::ALL {
+        let mut jacobian = Rows::zeros(Orientation::ALL.len(), self.free.len()).jacobian;
+        for (k, orientation) in Orientation::ALL.iter().enumerate() {
             let force = Vector3::from(orientation.up().map(|c| c * self.gravity_mps2));
-            let row = self.fitted(&at.derivatives(&at.at(force)));
-            let variance = row.dot(&(inverse * &row));
+            self.set_row(&mut jacobian, k, &at.derivatives(&at.at(force)));
+        }
+        let (mut worst, mut poorest) = (0.0, Orientation::ALL[0]);
+        let variances = quadratic_forms(&jacobian, inverse);
+        for (orientation, variance) in Orientation::ALL.into_iter().zip(&variances) {
             // Opposite orientations are equal to rounding where the bias is determined alone.
-            if variance > worst * (1.0 + 1e-12) {
-                (worst, poorest) = (variance, orientation);
+            if *variance > worst * (1.0 + 1e-12) {
+                (worst, poorest) = (*variance, orientation);
             }
         }
         Some((libm::sqrt(worst), poorest))
     }
 
+    /// Sets a row of `jacobian` to the derivatives by the fitted parameters.
+    fn set_row(&self, jacobian: &mut DMatrix<f64>, row: usize, all: &Theta) {
+        for (i, index) in self.free.iter().enumerate() {
+            jacobian[(row, i)] = all[*index];
+        }
+    }
+
     fn with_inverse(&self, theta: &Theta, inverse: &DMatrix<f64>) -> Option<Knowledge> {
-        let units = self.units();
         let (amplification, poorest) = self.worst(theta, inverse)?;
-        let n = self.free.len();
-        let scaled = DMatrix::from_fn(n, n, |r, c| inverse[(r, c)] / (units[r] * units[c]));
-        let values = scaled.symmetric_eigenvalues();
-        // A zero eigenvalue comes out as rounding of about this size.
-        let floor = values.max() * f64::EPSILON * 0.5;
-        let condition = libm::sqrt(values.max() / values.min().max(floor));
+        let scale = self.units().map(|unit| 1.0 / unit);
+        let cofactors = on_both_sides(inverse.clone(), &scale);
         let suffices = amplification < MOST_AMPLIFICATION;
-        Some(Knowledge { condition, poorest, suffices })
+        Some(Knowledge { cofactors, amplification, poorest, suffices })
     }
 }

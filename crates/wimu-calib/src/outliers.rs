@@ -38,7 +38,7 @@ const CAUCHY: f64 = 2.385;
 /// Standard deviation of normal deviates per median of their absolute values.
 const PER_MEDIAN: f64 = 1.4826;
 /// Relative change of the median of the residuals at which the robust fit has converged.
-const MEDIAN_ERROR: f64 = 0.01;
+const MEDIAN_ERROR: f64 = 0.05;
 /// Fraction of a limit below which the deviate of the linearised fit decides: its error is of second
 /// order.
 const CLOSE: f64 = 0.9;
@@ -167,15 +167,12 @@ pub(crate) fn contradicted(problem: &mut Magnitude, fit: &Fit) -> Option<Contrad
 
 /// The poses whose removal reduces the cost of the linearised fit most.
 fn suspects(problem: &Magnitude, fit: &Fit) -> Vec<usize> {
-    let mut gains: Vec<(f64, usize)> = problem
-        .kept()
-        .filter_map(|k| {
-            let (residual, variance) = problem.predicted(fit, k)?;
-            let weight = problem.weighting.of(&problem.poses[k]);
-            let left = 1.0 - weight * variance;
-            Some((weight * residual * residual / left.max(0.0), k))
-        })
-        .collect();
+    let variances = fit.variances();
+    let gain = |k: usize| {
+        let (weight, residual) = (problem.weighting.of(&problem.poses[k]), fit.rows.residual[k]);
+        (weight * residual * residual / (1.0 - weight * variances[k]).max(0.0), k)
+    };
+    let mut gains: Vec<(f64, usize)> = problem.kept().map(gain).collect();
     gains.sort_by(|a, b| b.0.total_cmp(&a.0));
     gains.into_iter().filter(|(gain, _)| *gain > 0.0).take(TRIED).map(|(_, k)| k).collect()
 }

@@ -28,7 +28,7 @@ impl Estimate {
             dof: u32::try_from(self.dof).unwrap_or(u32::MAX),
             rms_mps2: self.fitted_rms_mps2 as f32,
             loo_rms_mps2: self.loo_rms_mps2.map(|loo| loo as f32),
-            condition: Some(self.condition.max(1.0) as f32),
+            condition: Some(self.condition().max(1.0) as f32),
             covariance: ModelCovariance::from_matrix(self.covariance.matrix()).ok()?,
             other_sd: TermDeviations {
                 bias_mps2_per_k: bias.map(|sd| sd as f32),

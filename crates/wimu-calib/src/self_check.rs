@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use wimu_model::{ErrorModel, ModelError, ParameterSet};
 
 use crate::force;
-use crate::least_squares::Fit;
+use crate::least_squares::{Fit, Rows};
 use crate::terms::{self, Theta};
 use crate::{Covariance, Gravity, Parameter, Pose};
 
@@ -100,6 +100,7 @@ impl SelfCheck {
         Self {
             stored: *stored,
             fit: Fit {
+                rows: Rows::zeros(0, 0),
                 at: theta,
                 inverse: DMatrix::from_fn(12, 12, |r, c| covariance.matrix()[r][c]),
                 cost: 0.0,

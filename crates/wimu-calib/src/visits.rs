@@ -21,7 +21,9 @@ pub(crate) struct Visits {
 
 impl Visits {
     pub fn of(poses: &[Pose]) -> Self {
-        let mut visits = Self { first: Vec::new(), group: Vec::new() };
+        let count = poses.len();
+        let mut visits =
+            Self { first: Vec::with_capacity(count), group: Vec::with_capacity(count) };
         for pose in poses {
             let up = Vector3::from(pose.mean_mps2).normalize();
             let known = visits.first.iter().position(|first| first.dot(&up) > SAME_ORIENTATION_COS);

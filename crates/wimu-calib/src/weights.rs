@@ -33,8 +33,7 @@ impl Weighting {
 
     /// The variance σ₀² between poses is chosen such that the residuals agree with it and with the noise of the poses.
     pub fn from_residuals(problem: &Magnitude, fit: &Fit) -> Self {
-        let residuals = problem.residuals(&fit.at);
-        let of_pose = |k: usize| (residuals[k], problem.poses[k].mean_free_noise());
+        let of_pose = |k: usize| (fit.rows.residual[k], problem.poses[k].mean_free_noise());
         let count = problem.count() as f64;
         let mean_noise = problem.kept().map(|k| of_pose(k).1).sum::<f64>() / count;
         let usual = if problem.has_priors() { USUAL_DOF } else { 0 };

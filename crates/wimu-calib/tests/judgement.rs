@@ -194,7 +194,7 @@ fn no_bad_poses_however_many_or_alike_cost_more_than_the_data_can_spare() {
             let spare = (count / 5).min(count - 3).min(16);
             assert!(rejected.len() <= spare, "{seed}: {rejected:?} of {count}");
             assert_eq!(estimate.poses + rejected.len(), count);
-            assert!(estimate.worst_sd_mps2.is_finite() && estimate.condition.is_finite());
+            assert!(estimate.worst_sd_mps2.is_finite() && estimate.condition().is_finite());
             let mut once = rejected.to_vec();
             once.sort_unstable();
             once.dedup();

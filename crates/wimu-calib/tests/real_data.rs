@@ -61,7 +61,7 @@ fn eight_mpu9150_in_four_runs_reach_the_reference() {
             assert_eq!(estimate.dof, poses.len() - 9);
             rms += rms_mm(&estimate) / 8.0;
             loo += loo_mm(&estimate) / 8.0;
-            condition = condition.max(estimate.condition);
+            condition = condition.max(estimate.condition());
         }
         println!("  run {run}: {rms:.3} {loo:.3} {condition:.2}");
         let of = format!("8 MPU-9150, run {run}, 9 parameters");

@@ -168,7 +168,7 @@ pub(super) fn model(
     if condition.is_nan() || condition > MOST_CONDITION {
         return Err(not_observable(condition));
     }
-    let judged = Judged::new(&fit, &field).ok_or_else(none)?;
+    let judged = Judged::new(&fit);
     *suspect = judged.suspect(kept);
     let worst = kept[judged.worst];
     let Judged { rms, left_out_rms: loo, variance, .. } = judged;
@@ -310,7 +310,7 @@ fn rotation(dip: Dip, kept: &[usize]) -> Result<(MagnetometerRotation, Option<us
         least_squares::minimise(&dip, &(start, 0.0), &weights, SETTINGS)
     });
     let fit = fits.min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or_else(none)?;
-    let judged = Judged::new(&fit, &dip).ok_or_else(none)?;
+    let judged = Judged::new(&fit);
     let (rotation, level) = fit.at;
     let sine = level.clamp(-1.0, 1.0);
     let cosine = libm::sqrt((1.0 - sine * sine).max(0.01));
@@ -351,23 +351,20 @@ struct Judged {
 }
 
 impl Judged {
-    fn new<M: ResidualModel>(fit: &least_squares::Fit<M::Point>, model: &M) -> Option<Self>
-    where
-        M::Point: Clone,
-    {
-        let rows = model.rows(&fit.at)?;
+    fn new<P: Clone>(fit: &least_squares::Fit<P>) -> Self {
+        let (rows, variances) = (&fit.rows, fit.variances());
         let (n, parameters) = (rows.residual.len() as f64, rows.jacobian.ncols());
         let squares = rows.residual.norm_squared();
         let (mut left_out, mut worst, mut worst_square) = (0.0, 0, 0.0);
         for (k, residual) in rows.residual.iter().enumerate() {
-            let left = 1.0 - fit.variance(&rows.jacobian.row(k).transpose());
+            let left = 1.0 - variances[k];
             left_out += (residual / left) * (residual / left);
             let square = residual * residual / left;
             if square > worst_square {
                 (worst, worst_square) = (k, square);
             }
         }
-        Some(Self {
+        Self {
             rms: libm::sqrt(squares / n),
             left_out_rms: libm::sqrt(left_out / n),
             variance: squares / (n - parameters as f64),
@@ -375,7 +372,7 @@ impl Judged {
             squares,
             worst,
             worst_square,
-        })
+        }
     }
 
     /// The worst pose, if its residual is significant: equation (16), with the variance of the other poses.

@@ -255,7 +255,7 @@ pub(super) fn add_estimate(numbers: &mut Value, estimate: &Estimate, grade: &Gra
         "loo_rms_mm_s2": mm(estimate.loo_rms_mps2),
         "loo_orientation_rms_mm_s2": mm(estimate.loo_orientation_rms_mps2),
         "orientations": estimate.orientations,
-        "condition": estimate.condition,
+        "condition": estimate.condition(),
         "worst_sd_mm_s2": estimate.worst_sd_mps2 * 1e3,
         "temperature_c": estimate.temperature_c,
         "temperature_range_c": estimate.temperature_range_c,

@@ -245,7 +245,7 @@ impl Sessions {
             let sum: usize = self.estimates.iter().map(of).sum();
             u32::try_from(sum).unwrap_or(u32::MAX)
         };
-        let condition = self.estimates.iter().map(|e| e.condition).fold(1.0, f64::max);
+        let condition = self.estimates.iter().map(|e| e.condition()).fold(1.0, f64::max);
         let found = &self.combined;
         let first = self.estimates[0].quality(utc_s, &self.singles[0].poses)?;
         let [_, bias, scale, _] = found.term_sd;

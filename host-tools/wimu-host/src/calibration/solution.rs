@@ -185,7 +185,9 @@ impl Solution<'_> {
         let mut lines = vec![format!(
             "in sample {fitted} mm/s² rms{all}, largest {largest} at pose {} (from 0); condition {:.1}, {} degrees of \
              freedom; ± is 1 σ of this session",
-            estimate.worst_pose, estimate.condition, estimate.dof
+            estimate.worst_pose,
+            estimate.condition(),
+            estimate.dof
         )];
         if let Some(drift) = &estimate.drift {
             let [x, y, z] = drift.change_mps2.map(|axis| signed(axis * 1e3, 3));

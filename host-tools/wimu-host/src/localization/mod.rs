@@ -251,8 +251,9 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     let corrected;
+    let is_scaled = model.has_scale() && !prior.has_scale();
     let contradicts = !fits(&model, run.delay()) || run.navigator.suspected().is_some();
-    if contradicts && choice.survey_m.is_none() {
+    if (is_scaled || contradicts) && choice.survey_m.is_none() {
         let shifted = Model { shift_s: model.shift_s, ..prior };
         if let Some((error, found, solution)) =
             with_anchors(&problem, shifted, choice, (&model, &chosen))
@@ -285,7 +286,7 @@ fn solved(
     let (mut model, mut chosen) = (prior, first);
     if prior.adapts {
         (model, chosen) = adapted(problem, prior, chosen);
-        if !fits(&model, 0.0) && prior.ranges.scale == 0.0 {
+        if !fits(&model, 0.0) && !prior.has_scale() {
             (model, chosen) = with_scale(problem, prior, (model, chosen));
         }
     }
@@ -310,8 +311,7 @@ fn with_scale(
         return (model, chosen);
     };
     let (scaled, start) = adapted(problem, scaled, start);
-    let gain = likelihood(problem, &scaled, &start) - likelihood(problem, &model, &chosen);
-    let explains = gain > problem.least_gain(problem.ranging.anchors.len() + 1);
+    let explains = merit(problem, &scaled, &start) > merit(problem, &model, &chosen);
     if explains { (scaled, start) } else { (model, chosen) }
 }
 
@@ -325,15 +325,16 @@ fn with_anchors(
     let (error, ranging) = Misplaced::search(problem, &prior)?;
     let corrected = Recording { ranging: &ranging, ..*problem };
     let found = solved(&corrected, prior, choice).ok()?;
-    let gain = likelihood(&corrected, &found.1, &found.2) - likelihood(problem, model, chosen);
     // Three coordinates.
-    let explains = fits(&found.1, found.0.delay()) && gain > problem.least_gain(3);
+    let merit_then = merit(&corrected, &found.1, &found.2) - problem.cost(3);
+    let explains = fits(&found.1, found.0.delay()) && merit_then > merit(problem, model, chosen);
     explains.then_some((error, ranging, found))
 }
 
-/// Logarithm of the likelihood of all ranges.
-fn likelihood(problem: &Recording, model: &Model, chosen: &Chosen) -> f64 {
-    problem.log_likelihood(model, &chosen.start, f64::INFINITY)
+/// Logarithm of the likelihood of all ranges, less the cost of scale errors where the model has them.
+fn merit(problem: &Recording, model: &Model, chosen: &Chosen) -> f64 {
+    let scales = if model.has_scale() { problem.ranging.anchors.len() + 1 } else { 0 };
+    problem.log_likelihood(model, &chosen.start, f64::INFINITY) - problem.cost(scales)
 }
 
 fn presented(

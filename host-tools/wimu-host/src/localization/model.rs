@@ -101,6 +101,11 @@ impl Model {
         model
     }
 
+    /// Whether ranges have a scale error.
+    pub fn has_scale(&self) -> bool {
+        self.ranges.scale > 0.0
+    }
+
     /// The same with the scale error of [`RangePrior::VEHICLE`].
     pub fn with_scale(mut self) -> Self {
         self.common[1] = RangePrior::VEHICLE.scale;

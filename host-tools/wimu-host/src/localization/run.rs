@@ -78,8 +78,8 @@ pub(super) struct Recording<'a> {
 }
 
 impl Recording<'_> {
-    /// Gain of the log-likelihood of all ranges beyond which more parameters explain them better: Schwarz's criterion.
-    pub fn least_gain(&self, parameters: usize) -> f64 {
+    /// What parameters cost of the log-likelihood of all ranges: Schwarz's criterion.
+    pub fn cost(&self, parameters: usize) -> f64 {
         0.5 * parameters as f64 * (self.ranges.len() as f64).ln()
     }
 

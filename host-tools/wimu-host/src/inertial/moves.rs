@@ -15,13 +15,16 @@ use super::unit::{Unit, runs};
 use super::{Choice, Method, PathPoint, Zupt};
 
 /// The shortest rest between two moves, s.
-const REST_S: f64 = 0.3;
+pub(super) const REST_S: f64 = 0.3;
 /// A rest of this length ends a move, even if the filter does not agree, s.
 const CERTAIN_REST_S: f64 = 1.0;
 /// Alignment uses the end of a rest, s.
 const ALIGNMENT_S: f64 = 1.0;
 /// Change of gravity's direction without a rotation, rad, 1 σ of a component: 0.2°, noise and vibration at a rest.
 const LEVEL_RAD: f64 = 0.0035;
+/// Change of the magnetic field's direction without a rotation, rad, 1 σ: 3 µT of 50 µT, at both ends (see
+/// `wimu_nav::sensor::Magnetometer`).
+const FIELD_RAD: f64 = 0.085;
 /// Random walk of the attitude without a rotation, rad/√s (see `Profile::Slide`).
 const WALK_RAD: f64 = 0.002;
 /// χ² quantile, 2 degrees of freedom, 99.9 %.
@@ -170,7 +173,13 @@ fn one_move(
         let tilted_rad = force(&first).angle(&force(rest));
         let lasted_s = unit.times_s[rest.start] - unit.times_s[first.end - 1];
         let level = 2.0 * LEVEL_RAD * LEVEL_RAD + WALK_RAD * WALK_RAD * lasted_s;
-        let rotated = !gyroscope && tilted_rad * tilted_rad > CHI_SQUARE_2 * level;
+        let field = |rest: &Range<usize>| -> Vector3<f64> {
+            samples[rest.clone()].iter().filter_map(|s| s.field_ut).sum()
+        };
+        let [turned, field_level] = [field(&first).angle(&field(rest)), FIELD_RAD * FIELD_RAD];
+        let rotated = !gyroscope
+            && (tilted_rad * tilted_rad > CHI_SQUARE_2 * level
+                || turned * turned > CHI_SQUARE_2 * field_level);
         let found = Move {
             from_s: unit.times_s[first.end - 1],
             to_s: unit.times_s[rest.start],

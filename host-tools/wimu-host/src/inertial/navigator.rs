@@ -419,7 +419,7 @@ impl Navigator {
         for used in self.uses.values() {
             found.extend(used.finding());
         }
-        found.extend(self.anchors.as_ref().and_then(|anchors| self.suspects.finding(anchors)));
+        found.extend(self.suspected());
         found.extend(self.jumps());
         found.extend(self.magnet());
         found.extend(vehicle::findings(&self.core));
@@ -442,6 +442,11 @@ impl Navigator {
             found.push(Code::Clock.note(text));
         }
         found
+    }
+
+    /// Anchors most of whose ranges contradict the path.
+    pub fn suspected(&self) -> Option<Problem> {
+        self.suspects.finding(self.anchors.as_ref()?)
     }
 
     /// Jumps to what aids show.

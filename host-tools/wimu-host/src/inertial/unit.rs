@@ -11,8 +11,9 @@ use wimu_nav::stance::stances;
 use super::aids::Aid;
 use super::aids::position::LOOP;
 use super::aids::speed::SPEED;
+use super::frozen::Sense;
 use super::horizon::{gap_s, gaps};
-use super::moves::moves;
+use super::moves::{Move, REST_S, moves};
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
 use super::sense::Senses;
 use super::steps::{steps, turns_like_a_foot};
@@ -31,6 +32,13 @@ const SHORT_ALIGNMENT_S: f64 = 0.1;
 /// Headings at the start that are tried where fixes show the position, and time of the trial, s.
 pub(super) const HEADINGS: u32 = 12;
 const HEADING_TRIAL_S: f64 = 120.0;
+
+/// Means of a rest are taken over this time, s, and are compared where it has this number of them.
+const BLOCK_S: f64 = 0.05;
+const LEAST_BLOCKS: usize = 20;
+/// χ² quantile, 99.99 %, and median, 3 degrees of freedom.
+const CHI_SQUARE_3: f64 = 21.11;
+const MEDIAN_3: f64 = 2.366;
 
 /// The samples, each reading of a magnetometer that is slower than the accelerometer once.
 #[derive(Default)]
@@ -109,6 +117,10 @@ impl<'a> Unit<'a> {
         let steps = self.steps(choice, method);
         let rests = rests_of(&steps);
         let mut moves = moves(self, &rests, choice, method);
+        if method == Method::Tilt && choice.profile == Profile::Hand && self.slides(&rests, &moves)
+        {
+            return self.slide(choice, &rests);
+        }
         choice.aids.within(self.times_s).map_err(|error| error.at(self.name))?;
         let at_rest_first = self.first_rest(&rests).is_some();
         let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
@@ -159,6 +171,30 @@ impl<'a> Unit<'a> {
         path.states = navigator.states();
         path.aids = navigator.uses;
         path.residuals = navigator.residuals;
+        Ok(path)
+    }
+
+    /// Whether all motion, but for less than the shortest rest, is moves between rests at which gravity has one direction.
+    fn slides(&self, rests: &[bool], moves: &[Move]) -> bool {
+        let is_move =
+            |t: f64| moves.iter().any(|one| one.valid && (one.from_s..=one.to_s).contains(&t));
+        let others = (0..rests.len()).filter(|k| !rests[*k] && !is_move(self.times_s[*k]));
+        let others_s: f64 = others.map(|k| self.samples[k].step_s).sum();
+        !moves.is_empty() && others_s < REST_S
+    }
+
+    /// The path of a motion without rotation: an angular rate of zero takes the place of the gyroscope.
+    fn slide(&self, choice: &Choice, rests: &[bool]) -> Result<InertialPath> {
+        let still = |sample: &Sample| Sample { rate_rad_s: Some(Vector3::zeros()), ..*sample };
+        let samples: Vec<Sample> = self.samples.iter().map(still).collect();
+        let times = |rest: Range<usize>| self.times_s[rest.start]..=self.times_s[rest.end - 1];
+        let rests_s = Some(runs(rests).into_iter().map(times).collect());
+        let choice = Choice { profile: Profile::Slide, rests_s, ..choice.clone() };
+        let mut path = Unit { samples: &samples, ..*self }.path(&choice, Method::Strapdown)?;
+        path.method = Method::Tilt;
+        let text = "gravity has one direction at all rests: no rotation is assumed between them (one about the vertical would \
+                    not show)";
+        path.findings.push(Code::Navigation.note(text));
         Ok(path)
     }
 
@@ -286,7 +322,40 @@ impl<'a> Unit<'a> {
         }
         let statistics = self.statistics(settings);
         let at_rest = statistics.iter().map(|statistic| *statistic < settings.threshold);
-        at_rest.collect()
+        let mut rests: Vec<bool> = at_rest.collect();
+        self.leave_out_slow_motions(&mut rests, &settings);
+        rests
+    }
+
+    /// Leaves out the parts of rests at which a sensor does not show what it shows in most of the rest: to the variance of a
+    /// window a slow motion looks like a rest. χ² test of means over [`BLOCK_S`] about their median, by their median square or
+    /// the deviation of the detector, the smaller of them. Equation (174).
+    fn leave_out_slow_motions(&self, rests: &mut [bool], settings: &RestLimits) {
+        let step_s = median_step_s(self.times_s);
+        let length = ((BLOCK_S / step_s).round() as usize).max(1);
+        let senses: [(Sense, f64); 2] = [
+            (|s| Some(s.force_mps2), settings.force_mps2),
+            (|s| s.rate_rad_s, settings.rate_offset_rad_s),
+        ];
+        for rest in runs(rests) {
+            for (sense, sd) in senses {
+                let blocks = self.samples[rest.clone()].chunks(length);
+                let mean = |block: &[Sample]| {
+                    let values: Vec<Vector3<f64>> = block.iter().filter_map(sense).collect();
+                    values.iter().sum::<Vector3<f64>>() / values.len() as f64
+                };
+                let means: Vec<Vector3<f64>> = blocks.map(mean).collect();
+                for block in unlike_most(&means, sd) {
+                    let from = rest.start + block * length;
+                    rests[from..(from + length).min(rest.end)].fill(false);
+                }
+            }
+            for part in runs(&rests[rest.clone()]) {
+                if (part.len() as f64) * step_s < settings.window_s && part.len() < rest.len() {
+                    rests[rest.start + part.start..rest.start + part.end].fill(false);
+                }
+            }
+        }
     }
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s. What does not turn like a foot has none.
@@ -444,6 +513,20 @@ pub(super) fn detector(profile: Profile) -> RestLimits {
         Profile::Vehicle => RestLimits::vehicle(),
         _ => RestLimits::default(),
     }
+}
+
+/// The blocks of a rest that are not like most of it, which has the standard deviation `sd` of a component at most.
+fn unlike_most(blocks: &[Vector3<f64>], sd: f64) -> Vec<usize> {
+    let middle = Vector3::from_fn(|axis, _| {
+        median(blocks.iter().map(|block| block[axis])).unwrap_or_default()
+    });
+    let squares: Vec<f64> = blocks.iter().map(|block| (block - middle).norm_squared()).collect();
+    let Some(usual) = median(squares.iter().copied()).filter(|_| blocks.len() >= LEAST_BLOCKS)
+    else {
+        return Vec::new();
+    };
+    let limit = CHI_SQUARE_3 * (usual / MEDIAN_3).min(sd * sd);
+    (0..blocks.len()).filter(|block| squares[*block] > limit).collect()
 }
 
 /// Runs of samples at rest.

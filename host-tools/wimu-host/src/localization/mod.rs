@@ -1,6 +1,7 @@
 //! Position from ranges to anchors, alone or with wheel odometry or an inertial sensor: filter and smoother with bias, scale
 //! and correlated errors of every anchor. Equations (160) to (168) and (172) of docs/reference/equations.
 
+mod anchors;
 mod findings;
 mod hypotheses;
 mod input;
@@ -22,6 +23,7 @@ use crate::imu::Imu;
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::{Code, Problem, Result};
+use anchors::Misplaced;
 use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
 use run::{DELAY_S, Motion, Recording, Run};
 
@@ -221,7 +223,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     });
     let prior = Model::of(recording, choice);
     let ranging = Ranging::of(recording, prior);
-    let problem = Recording {
+    let mut problem = Recording {
         ranging: &ranging,
         mounting: Mounting { lever_arm_m: choice.lever_arm_m, ..Mounting::default() },
         ranges: &recording.ranges,
@@ -231,8 +233,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     };
     let at = |error: Problem| error.at(&recording.name);
     let (mut run, mut model, mut chosen) = solved(&problem, prior, choice).map_err(at)?;
-    let delay_s = |run: &Run| run.delay_s.map_or(0.0, |[delay_s, _]| delay_s);
-    let shift_s = if fits(&model, delay_s(&run)) && !run.navigator.is_contradicted() {
+    let shift_s = if fits(&model, run.delay()) && !run.navigator.is_contradicted() {
         None
     } else {
         clock_shift(&problem, &model)
@@ -240,13 +241,26 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     if let Some(shift_s) = shift_s {
         let shifted = Model { shift_s, ..prior };
         let found = solved(&problem, shifted, choice).map_err(at)?;
-        let explains = fits(&found.1, delay_s(&found.0));
+        let explains = fits(&found.1, found.0.delay());
         if is_last(shift_s) {
             return Err(at(findings::last_shift(shift_s)));
         }
         noticed.push(findings::clock(shift_s, explains));
         if explains {
             (run, model, chosen) = found;
+        }
+    }
+    let corrected;
+    let contradicts = !fits(&model, run.delay()) || run.navigator.suspected().is_some();
+    if contradicts && choice.survey_m.is_none() {
+        let shifted = Model { shift_s: model.shift_s, ..prior };
+        if let Some((error, found, solution)) =
+            with_anchors(&problem, shifted, choice, (&model, &chosen))
+        {
+            noticed.push(error.finding(&ranging, &found));
+            corrected = found;
+            problem = Recording { ranging: &corrected, ..problem };
+            (run, model, chosen) = solution;
         }
     }
     noticed.extend(findings::after(recording, &run, &chosen));
@@ -296,13 +310,30 @@ fn with_scale(
         return (model, chosen);
     };
     let (scaled, start) = adapted(problem, scaled, start);
-    let likelihood = |model: &Model, chosen: &Chosen| {
-        problem.log_likelihood(model, &chosen.start, f64::INFINITY)
-    };
-    let gain = likelihood(&scaled, &start) - likelihood(&model, &chosen);
-    let parameters = problem.ranging.anchors.len() as f64 + 1.0;
-    let explains = gain > 0.5 * parameters * (problem.ranges.len() as f64).ln();
+    let gain = likelihood(problem, &scaled, &start) - likelihood(problem, &model, &chosen);
+    let explains = gain > problem.least_gain(problem.ranging.anchors.len() + 1);
     if explains { (scaled, start) } else { (model, chosen) }
+}
+
+/// The same with an error of the file of anchors that explains the ranges, and better, likewise.
+fn with_anchors(
+    problem: &Recording,
+    prior: Model,
+    choice: &LocalizationChoice,
+    (model, chosen): (&Model, &Chosen),
+) -> Option<(Misplaced, Ranging, (Run, Model, Chosen))> {
+    let (error, ranging) = Misplaced::search(problem, &prior)?;
+    let corrected = Recording { ranging: &ranging, ..*problem };
+    let found = solved(&corrected, prior, choice).ok()?;
+    let gain = likelihood(&corrected, &found.1, &found.2) - likelihood(problem, model, chosen);
+    // Three coordinates.
+    let explains = fits(&found.1, found.0.delay()) && gain > problem.least_gain(3);
+    explains.then_some((error, ranging, found))
+}
+
+/// Logarithm of the likelihood of all ranges.
+fn likelihood(problem: &Recording, model: &Model, chosen: &Chosen) -> f64 {
+    problem.log_likelihood(model, &chosen.start, f64::INFINITY)
 }
 
 fn presented(

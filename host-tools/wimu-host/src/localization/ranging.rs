@@ -30,6 +30,8 @@ pub struct Ranging {
     /// What errors call them.
     name: String,
     pub(crate) model: Model,
+    /// An anchor, by its index, whose position is estimated about that of the file, with its standard deviation, m.
+    pub(super) surveyed: Option<(usize, f64)>,
 }
 
 impl Ranging {
@@ -47,17 +49,28 @@ impl Ranging {
 
     /// Anchors of a name; without heights all is in their plane.
     pub fn new(name: &str, anchors: Vec<AnchorPosition>, planar: bool, prior: &RangePrior) -> Self {
-        Self { anchors, name: name.to_owned(), model: Model::new(prior, planar) }
+        Self { anchors, name: name.to_owned(), model: Model::new(prior, planar), surveyed: None }
     }
 
     /// The anchors of a recording.
     pub(crate) fn of(recording: &RangeRecording, model: Model) -> Self {
-        Self { anchors: recording.anchors.clone(), name: recording.name.clone(), model }
+        Self {
+            anchors: recording.anchors.clone(),
+            name: recording.name.clone(),
+            model,
+            surveyed: None,
+        }
     }
 
     /// The same anchors with another model.
     pub(super) fn with(&self, model: Model) -> Self {
         Self { model, ..self.clone() }
+    }
+
+    /// Exchanges the positions of two anchors.
+    pub(super) fn exchange(&mut self, a: usize, b: usize) {
+        let position_m = self.anchors[a].position_m;
+        self.anchors[a].position_m = std::mem::replace(&mut self.anchors[b].position_m, position_m);
     }
 
     /// Ranges of a table that arrived at a time, s, which is that of rows without one.
@@ -91,10 +104,15 @@ impl Ranging {
     /// Claims the states of the anchors.
     pub(crate) fn claim(&self, navigator: &mut Navigator) -> AnchorStates {
         let model = &self.model;
-        let claim = |position: Vector3<f64>| {
-            navigator.claim(|layout| Anchor::claim(layout, position, &model.ranges))
+        let mut claim = |(index, position): (usize, Vector3<f64>)| {
+            let mut errors = model.ranges;
+            if let Some((_, sd_m)) = self.surveyed.filter(|(surveyed, _)| *surveyed == index) {
+                errors.position_m = sd_m;
+            }
+            navigator.claim(|layout| Anchor::claim(layout, position, &errors))
         };
-        let states: Vec<Anchor> = self.positions_m().into_iter().map(claim).collect();
+        let states: Vec<Anchor> =
+            self.positions_m().into_iter().enumerate().map(&mut claim).collect();
         navigator.change(|filter| correlate(&states, model.common, filter));
         let ranging = Arc::new(self.clone());
         AnchorStates { ranging, states, delay: None, last_s: None, recent: Vec::new() }

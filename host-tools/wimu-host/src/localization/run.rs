@@ -56,6 +56,13 @@ pub(super) struct Run {
     pub delay_s: Option<Estimate>,
 }
 
+impl Run {
+    /// The delay, s, or zero where it is not estimated.
+    pub fn delay(&self) -> f64 {
+        self.delay_s.map_or(0.0, |[delay_s, _]| delay_s)
+    }
+}
+
 /// A recording to localize.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recording<'a> {
@@ -71,6 +78,11 @@ pub(super) struct Recording<'a> {
 }
 
 impl Recording<'_> {
+    /// Gain of the log-likelihood of all ranges beyond which more parameters explain them better: Schwarz's criterion.
+    pub fn least_gain(&self, parameters: usize) -> f64 {
+        0.5 * parameters as f64 * (self.ranges.len() as f64).ln()
+    }
+
     /// Logarithm of the likelihood of the ranges up to a time, s.
     pub fn log_likelihood(&self, model: &Model, start: &Start, until_s: f64) -> f64 {
         self.navigated(model, start, until_s, None).log_likelihood

@@ -24,8 +24,10 @@ const MOST_RESTARTS: usize = 16;
 const MODULI: [i64; 2] = [1 << 16, 1 << 32];
 /// Times after which clocks of an hour, half a day or a day start again, and by which summer time begins and ends, ns.
 const CYCLES_NS: [i64; 3] = [3_600_000_000_000, 43_200_000_000_000, 86_400_000_000_000];
-/// Share of equal stamps that is worth a warning.
-const MANY_EQUAL: f64 = 0.01;
+/// Share of equal stamps, or of rows that are out of order, that is worth a warning.
+const MANY: f64 = 0.01;
+/// Periods between two rows beyond which one between them is missing.
+const HOLE: f64 = 1.5;
 
 /// The stamps of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,6 +67,8 @@ pub(super) struct Clock {
     spacing_ns: i64,
     count: usize,
     equal: usize,
+    /// Rows that came after later ones, and were put before them.
+    moved: usize,
     wraps: usize,
     restarts: usize,
     /// Rows with a wrong stamp, and the time of the first, ns.
@@ -81,19 +85,42 @@ impl Clock {
         let mut kept = [f64::NAN; 4];
         let width = values.len().min(kept.len());
         kept[..width].copy_from_slice(&values[..width]);
+        let place = self.place(time_ns);
         let has_no = |row: &&mut Row| {
             row.time_ns == time_ns && row.values.iter().all(|(known, ..)| *known != track)
         };
-        if let Some(row) = self.rows.back_mut().filter(has_no) {
+        let same = place.checked_sub(1).and_then(|before| self.rows.get_mut(before));
+        if let Some(row) = same.filter(has_no) {
             return row.values.push((track, kept, width));
         }
+        let place = self.missing_at(place, time_ns).unwrap_or(self.rows.len());
+        self.moved += usize::from(place < self.rows.len());
         let mut row = self.spare.pop().unwrap_or_default();
         row.time_ns = time_ns;
         row.values.push((track, kept, width));
-        self.rows.push_back(row);
+        self.rows.insert(place, row);
         if self.rows.len() > 2 * AHEAD {
             self.settle(false, out);
         }
+    }
+
+    /// Index after the last held row that is not later.
+    fn place(&self, time_ns: i64) -> usize {
+        self.rows.iter().rposition(|row| row.time_ns <= time_ns).map_or(0, |before| before + 1)
+    }
+
+    /// The place in the order of time of a stamp that goes back, where a row is missing: packets overtake each other.
+    fn missing_at(&self, place: usize, time_ns: i64) -> Option<usize> {
+        let next_ns = self.rows.get(place)?.time_ns;
+        let period_ns = self.median_step_ns();
+        let until_next = |time_ns: i64| next_ns.saturating_sub(time_ns) as f64 / period_ns;
+        let before = place.checked_sub(1).map(|before| self.rows[before].time_ns);
+        let is_between = match before {
+            Some(before_ns) => before_ns < time_ns && until_next(before_ns) > HOLE,
+            None => self.last_ns.is_none(),
+        };
+        let is_missing = is_between && until_next(time_ns) <= FAR;
+        is_missing.then_some(place)
     }
 
     /// Hands on the rows that are left.
@@ -114,9 +141,17 @@ impl Clock {
                 self.count,
                 100.0 * share
             );
-            let severity = if share > MANY_EQUAL { Severity::Warning } else { Severity::Note };
+            let severity = if share > MANY { Severity::Warning } else { Severity::Note };
             let finding = Problem::new(Code::TimesUnordered, severity, text);
             problems.push(finding.remedy("such rows are spread over the time to the next stamp"));
+        }
+        if self.moved > 0 {
+            let share = self.moved as f64 / self.count as f64;
+            let severity = if share > MANY { Severity::Warning } else { Severity::Note };
+            let rows = counted(self.moved, "row");
+            let text = format!("{rows} of {} come after later ones", self.count);
+            let finding = Problem::new(Code::TimesUnordered, severity, text);
+            problems.push(finding.remedy("they are put in the order of time"));
         }
         if self.wraps > 0 {
             let wraps = counted(self.wraps, "time");
@@ -218,7 +253,7 @@ impl Clock {
         times.len() > 2 && 10 * in_order.count() >= 9 * (times.len() - 1)
     }
 
-    /// Usual step between the rows that are held back, ns: the median of those forward.
+    /// Usual step between the rows that are held back, ns.
     fn period_ns(&self, last_ns: i64) -> f64 {
         let ahead = |row: &Row| self.shifted(row.time_ns).saturating_sub(last_ns);
         let step = self.rows.front().map_or(0, ahead);
@@ -227,6 +262,11 @@ impl Clock {
         if step > 0 && next > 0 && step / 2 < next && next / 2 < step {
             return step as f64;
         }
+        self.median_step_ns()
+    }
+
+    /// Median of the steps forward between the rows that are held back, ns.
+    fn median_step_ns(&self) -> f64 {
         let times = self.rows.iter().map(|row| row.time_ns);
         let times: Vec<i64> = times.take(2 * AHEAD).collect();
         let mut steps: Vec<i64> =

@@ -23,6 +23,10 @@ const FEWEST: usize = 12;
 const EARTHS_NT: core::ops::RangeInclusive<f64> = 1e4..=1.2e5;
 /// Smallest range of the output of an axis, relative to the largest of the three.
 const LEAST_SHARE: f64 = 0.02;
+/// Cosine of 30°: poses that differ by more do not have one field on all axes, unless they are turned about it.
+const DIFFERENT_COS: f64 = 0.866;
+/// Number of such poses with exactly one output of which the magnetometer is frozen.
+const FROZEN: usize = 3;
 /// Number of poses at the same extreme value that indicates clipping.
 const CLIPPED: usize = 4;
 /// Poses per rejected pose, at least.
@@ -216,6 +220,27 @@ fn handedness(model: &MagnetometerModel, place_rad: Option<f64>) -> Result<(), R
     Err(Refusal::new(Reason::Axes, text))
 }
 
+/// Refuses an output that repeats exactly in orientations in which the field differs.
+fn frozen(poses: &[MagneticPose]) -> Result<(), Refusal> {
+    let up = |pose: &MagneticPose| Vector3::from(pose.up).normalize();
+    for pose in poses {
+        let is_equal = |other: &&MagneticPose| {
+            other.output_nt == pose.output_nt && up(other).dot(&up(pose)) < DIFFERENT_COS
+        };
+        let count = poses.iter().filter(is_equal).count();
+        if count + 1 >= FROZEN {
+            let [x, y, z] = pose.output_nt.map(|nt| nt * 1e-3);
+            let text = format!(
+                "The magnetometer is frozen: it reads ({x:.2}, {y:.2}, {z:.2}) µT in {} poses that differ. Check its driver \
+                 and its data-ready bit, and repeat them.",
+                count + 1
+            );
+            return Err(Refusal::new(Reason::Axis { axis: 0, clipped: false }, text));
+        }
+    }
+    Ok(())
+}
+
 /// The refusal of a field of this magnitude.
 fn not_earths(field_nt: f64) -> Refusal {
     let text = format!(
@@ -233,6 +258,7 @@ fn plausible(poses: &[MagneticPose]) -> Result<(), Refusal> {
     let widest = span.into_iter().fold(0.0, f64::max);
     let largest = limits.into_iter().flatten().map(f64::abs).fold(0.0, f64::max);
     let (fewest, most) = (EARTHS_NT.start(), EARTHS_NT.end());
+    frozen(poses)?;
     if largest < 0.1 * fewest || widest > 10.0 * most {
         return Err(not_earths(largest.min(widest)));
     }

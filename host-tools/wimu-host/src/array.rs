@@ -3,6 +3,7 @@
 
 mod agreement;
 mod calibration;
+mod directions;
 mod geometry;
 mod health;
 mod motion;

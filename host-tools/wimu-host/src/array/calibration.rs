@@ -5,6 +5,7 @@ use wimu_calib::{ArrayEstimate, ArrayPrior, ArraySensorEstimate, Gravity, Pose};
 use wimu_model::{ErrorModel, STANDARD_GRAVITY_MPS2, SpecificForceMps2};
 
 use super::agreement::contradiction;
+use super::directions;
 use super::motion::{check, refused};
 use super::outputs::{
     AtRests, Span, common, departures, is_dead, is_throughout, pose, rms, scale_of,
@@ -121,10 +122,13 @@ impl ArrayCalibration {
                 .at(&recording.name));
         }
         let stretches = steady_stretches(recording, &dead);
+        let mut left_out: Vec<(usize, String)> =
+            dead.iter().map(|sensor| (*sensor, "its output never moves".to_owned())).collect();
+        left_out.extend(misdirected(recording, &stretches, &dead)?);
+        let is_out = |sensor: usize| left_out.iter().any(|(out, _)| *out == sensor);
         // Judged by the sensors that live through all of them.
         let lives = |sensor: usize| {
-            !dead.contains(&sensor)
-                && stretches.iter().all(|span| is_throughout(recording, sensor, *span))
+            !is_out(sensor) && stretches.iter().all(|span| is_throughout(recording, sensor, *span))
         };
         let lives: Vec<bool> = (0..sensors).map(lives).collect();
         let judged = judged(recording, geometry, &stretches, &lives)?;
@@ -135,11 +139,10 @@ impl ArrayCalibration {
         let mut seen: Vec<Vec<Option<Pose>>> = judged.rests.iter().map(at_rest).collect();
         let mean = |pose: &Option<Pose>| pose.map(|pose| pose.mean_mps2.into());
         let outputs: AtRests = seen.iter().map(|rest| rest.iter().map(mean).collect()).collect();
-        let mut left_out: Vec<(usize, String)> =
-            dead.iter().map(|sensor| (*sensor, "its output never moves".to_owned())).collect();
-        let absent = |s: &usize| !dead.contains(s) && outputs.iter().all(|rest| rest[*s].is_none());
+        let absent = |s: &usize| !is_out(*s) && outputs.iter().all(|rest| rest[*s].is_none());
         let reason = "it has no output at any rest";
-        left_out.extend((0..sensors).filter(absent).map(|sensor| (sensor, reason.to_owned())));
+        let absent: Vec<usize> = (0..sensors).filter(absent).collect();
+        left_out.extend(absent.into_iter().map(|sensor| (sensor, reason.to_owned())));
         let noise_mps2: Vec<f64> = (0..sensors)
             .map(|sensor| {
                 let deviations = seen.iter().filter_map(|rest| Some(rest[sensor]?.sd_mps2[0]));
@@ -421,6 +424,28 @@ impl ArrayCalibration {
     ) -> [f64; 3] {
         (self.model_force(sensor, output_mps2) - self.offsets[rest][sensor]).into()
     }
+}
+
+/// The sensors with an axis of a wrong direction.
+///
+/// # Errors
+/// `data_refused` where they are as many as the others: which are wrong is not known.
+fn misdirected(
+    recording: &Array,
+    stretches: &[Span],
+    dead: &[usize],
+) -> Result<Vec<(usize, String)>> {
+    let alive: Vec<usize> = (0..recording.sensors()).filter(|s| !dead.contains(s)).collect();
+    let mean = |span: &Span, sensor| pose(recording, sensor, *span).map(|p| p.mean_mps2.into());
+    let of = |span: &Span| (0..recording.sensors()).map(|sensor| mean(span, sensor)).collect();
+    let wrong = directions::wrong(&stretches.iter().map(of).collect(), &alive);
+    let Some((sensor, how)) = wrong.first().filter(|_| 2 * wrong.len() >= alive.len()) else {
+        return Ok(wrong);
+    };
+    let message = format!("the sensors contradict each other: sensor {sensor} (from 0): {how}");
+    let remedy =
+        "correct order and signs of the axes, in the driver or by the directions of the geometry";
+    Err(Code::DataRefused.error(message, remedy).at(&recording.name))
 }
 
 /// Refusal of a recording without a rest.

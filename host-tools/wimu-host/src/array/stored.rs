@@ -40,6 +40,13 @@ pub fn calibrate_array(
         )
         .at(&recording.name));
     }
+    let used = (0..recording.sensors()).filter(|sensor| calibration.uses(*sensor)).count();
+    if let (0 | 1, [(sensor, why), ..]) = (used, &calibration.left_out[..]) {
+        let message =
+            format!("one sensor is no array: sensor {sensor} (from 0) is left out: {why}");
+        let remedy = "check this sensor, its wiring and its columns";
+        return Err(Code::DataRefused.error(message, remedy).at(&recording.name));
+    }
     let mut findings = Vec::new();
     // Whoever navigates with these positions would be refused.
     if let Some(agreement) = Agreement::of(&arranged, &geometry, &calibration)? {

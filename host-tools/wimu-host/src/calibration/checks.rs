@@ -1,11 +1,9 @@
 //! Checks of a session and its estimate: why there is no answer, and what a user should know beside the numbers.
 
-use std::cmp::Ordering;
-
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wimu_calib::{
     Covariance, Estimate, Face, Gravity, MultiPosition, Parameter, Parameters, Pose, Reason,
-    Refusal, Sides, Term, UnitHint, multi_position,
+    Refusal, Sides, UnitHint, multi_position,
 };
 use wimu_model::{CalibrationMethod, ErrorTerms, STANDARD_GRAVITY_MPS2};
 
@@ -41,8 +39,6 @@ const MIN_ORIENTATIONS: usize = 6;
 /// Largest number of rows that can be pose means, and their largest rate, Hz: a pose takes seconds.
 const MAX_MEANS: usize = 2000;
 const MAX_MEANS_HZ: f64 = 5.0;
-/// Fewest degrees of freedom of a fit that is offered instead of a refused one: with fewer any poses fit.
-const MIN_REDUNDANCY: usize = 3;
 
 /// Poses that cannot be those of an accelerometer in m/s²: of a wrong unit or sensitivity, or normalised.
 pub(super) fn refusal(data: &Samples<'_>, found: &Poses, gravity: Gravity) -> Option<Refusal> {
@@ -126,7 +122,8 @@ impl Solution<'_> {
             return text;
         }
         if matches!(refusal.reason, Reason::PoorFit { .. } | Reason::Contradicted { .. }) {
-            return text + &self.what_changed().unwrap_or_default();
+            let (gravity, model) = (self.fitting.gravity, options.multi_position());
+            return nested::contradiction(poses, gravity, model).unwrap_or(text);
         }
         if !refusal.needs_poses() {
             return text;
@@ -142,31 +139,6 @@ impl Solution<'_> {
                 + " All six sides are present: if they were placed squarely, --method six-position estimates 12 parameters.";
         }
         text
-    }
-
-    /// The effect with which the poses that contradict each other have the best fit, and its option.
-    fn what_changed(&self) -> Option<String> {
-        let what = self.options.multi_position();
-        let base = if what.priors { "auto" } else { "9" };
-        let effects: [(&str, &[Term], &str); 3] = [
-            (
-                "temperature",
-                &[Term::BiasTemperature, Term::ScaleTemperature],
-                "The bias may depend on temperature",
-            ),
-            ("drift", &[Term::Drift], "The bias may have drifted"),
-            ("quadratic", &[Term::Quadratic], "The output may not be linear"),
-        ];
-        let fits = effects.into_iter().filter_map(|(name, more, effect)| {
-            let terms = what.terms.iter().chain(more.iter().copied()).collect();
-            let what = MultiPosition { terms, ..what };
-            let fit = multi_position(&self.poses, self.fitting.gravity, what).ok()?;
-            let is_new = terms != self.options.model.terms && fit.dof >= MIN_REDUNDANCY;
-            is_new.then_some((name, effect, fit.loo_rms_mps2))
-        });
-        let (name, effect, _) =
-            fits.min_by(|a, b| a.2.partial_cmp(&b.2).unwrap_or(Ordering::Equal))?;
-        Some(format!(" {effect}: --model {base}+{name} fits these poses."))
     }
 
     /// All problems but the refusal; `shows_axes` says whether a gyroscope shows swapped axes.

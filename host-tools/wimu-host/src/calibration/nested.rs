@@ -1,7 +1,10 @@
 //! Nested models beside an estimate: what its residuals show of the sensor, in one list of hypotheses.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
-use wimu_calib::{Estimate, Nested, Pose, Term, Terms, TestedPose, Unexplained};
+use wimu_calib::{
+    Estimate, Gravity, MultiPosition, Nested, Pose, Term, Terms, TestedPose, Unexplained,
+    multi_position,
+};
 use wimu_model::{CalibrationMethod, STANDARD_GRAVITY_MPS2 as G};
 
 use super::report::AXES;
@@ -13,6 +16,23 @@ const MIN_SIDE: usize = 3;
 const MAX_TIMES: usize = 100;
 /// Smallest residual that is tested, m/s²: of data without noise, the rounding is not a drift.
 const FLOOR_MPS2: f64 = 1e-4;
+
+/// Steps of the linearised estimate of a change that no fit explains yet.
+const ROUNDS: usize = 3;
+/// Least evidence of a change against a single bad pose: difference of the Bayesian information criterion, odds of 20 to 1.
+const EVIDENCE: f64 = 6.0;
+/// Fewest degrees of freedom of a fit that is offered instead of a refused one: with fewer any poses fit.
+const MIN_REDUNDANCY: usize = 3;
+/// Option of `--model`, terms, and effect.
+const EFFECTS: [(&str, &[Term], &str); 3] = [
+    (
+        "temperature",
+        &[Term::BiasTemperature, Term::ScaleTemperature],
+        "the bias may depend on temperature",
+    ),
+    ("drift", &[Term::Drift], "the bias may have drifted"),
+    ("quadratic", &[Term::Quadratic], "the output may not be linear"),
+];
 
 /// What may have changed, or is missing in the model.
 #[derive(Clone, Copy, PartialEq)]
@@ -138,11 +158,8 @@ pub(super) fn finding(
     let rows = unexplained.poses();
     if let Kind::Step(Step::Bias | Step::Sign, axis) = found.kind {
         found.kind = Kind::Step(Step::Bias, axis);
-        let mut flipped = poses.to_vec();
-        for pose in flipped.iter_mut().filter(|pose| pose.time_s >= rows[found.after].time_s) {
-            pose.mean_mps2[axis] = -pose.mean_mps2[axis];
-        }
-        let is_better = refit(&flipped).is_some_and(|fit| {
+        let change = Change { step: Step::Sign, axis, first_s: rows[found.after].time_s };
+        let is_better = refit(&change.undone(poses, 0.0, 0.0)).is_some_and(|fit| {
             let squares = fit.fitted_rms_mps2.powi(2) * fit.poses as f64;
             fit.rejected.len() <= rejected && score(squares, rows.len(), 1) < found.score
         });
@@ -158,6 +175,107 @@ pub(super) fn finding(
     Some(found.kind.problem(found.size, estimate.terms).between(from_s, to_s))
 }
 
+/// Why poses contradict each other, and what to do: the change of the sensor with which they fit. `None` where none does,
+/// or leaving out a single pose explains them about as well.
+pub(super) fn contradiction(
+    poses: &[Pose],
+    gravity: Gravity,
+    model: MultiPosition,
+) -> Option<String> {
+    let (given, count) = (poses, poses.len());
+    let mut poses = given.to_vec();
+    poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    // Of means without times, the order of their rows is that of time.
+    if poses.iter().all(|pose| pose.time_s == given[0].time_s) {
+        poses.iter_mut().zip(0_u32..).for_each(|(pose, k)| pose.time_s = f64::from(k));
+    }
+    let model = MultiPosition { reject: false, ..model };
+    let fit = |poses: &[Pose]| multi_position(poses, gravity, model).ok();
+    let of_fit = |fit: &Estimate, parameters: usize| {
+        score(fit.fitted_rms_mps2.powi(2) * fit.poses as f64, count, parameters)
+    };
+    // The place of a pose or step is a parameter too.
+    let without = |k: usize| fit(&[&poses[..k], &poses[k + 1..]].concat());
+    let of_pose = (0..count).filter_map(without).map(|fit| of_fit(&fit, 2)).reduce(f64::min);
+    let mut found = Vec::new();
+    for (option, terms, effect) in EFFECTS {
+        let terms = model.terms.iter().chain(terms.iter().copied()).collect();
+        let more = MultiPosition { terms, ..model };
+        let Ok(fit) = multi_position(given, gravity, more) else { continue };
+        if terms != model.terms && fit.dof >= MIN_REDUNDANCY {
+            let base = if model.priors { "auto" } else { "9" };
+            let text = format!("{effect}: --model {base}+{option} fits these poses");
+            found.push((of_fit(&fit, terms.parameters()), text));
+        }
+    }
+    for after in times(count) {
+        for (step, axis) in STEPS.iter().flat_map(|(step, ..)| (0..3).map(move |k| (*step, k))) {
+            let change = Change { step, axis, first_s: poses[after].time_s };
+            let Some((size, fit)) = change.fitted(&poses, gravity, fit) else { continue };
+            let Problem { text, remedy, .. } = Kind::Step(step, axis).problem(size, model.terms);
+            let text = format!("{text}, {} and {after} (from 0): {remedy}", after - 1);
+            found.push((of_fit(&fit, if step == Step::Sign { 1 } else { 2 }), text));
+        }
+    }
+    let (score, text) = found.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let is_clear = of_pose.is_none_or(|of_pose| score + EVIDENCE < of_pose);
+    is_clear.then(|| format!("The poses contradict each other: {text}."))
+}
+
+/// A step of an axis before the pose of this time.
+#[derive(Clone, Copy)]
+struct Change {
+    step: Step,
+    axis: usize,
+    first_s: f64,
+}
+
+impl Change {
+    /// Its size, and the fit of the poses without it.
+    fn fitted(
+        self,
+        poses: &[Pose],
+        gravity: Gravity,
+        fit: impl Fn(&[Pose]) -> Option<Estimate>,
+    ) -> Option<(f64, Estimate)> {
+        if self.step == Step::Sign {
+            return Some((0.0, fit(&self.undone(poses, 0.0, 0.0))?));
+        }
+        let kind = Kind::Step(self.step, self.axis);
+        // From a perfect sensor and with equal weights: the poses have no fit yet.
+        let mut estimate = Estimate::default();
+        (estimate.gravity, estimate.pose_sd_mps2) = (gravity, 1.0);
+        let (mut size, mut undone) = (0.0, poses.to_vec());
+        for _ in 0..ROUNDS {
+            let unexplained = Unexplained::new(&undone, &estimate, true)?;
+            let late = |pose: &TestedPose| pose.time_s >= self.first_s;
+            let nested = unexplained.with(1, |pose, _| kind.derivative(pose, late(pose), 0))?;
+            size += nested.size[0];
+            undone = self.undone(poses, size, estimate.model.terms().bias_mps2[self.axis]);
+            estimate = fit(&undone)?;
+        }
+        Some((size, estimate))
+    }
+
+    fn undone(self, poses: &[Pose], size: f64, bias_mps2: f64) -> Vec<Pose> {
+        let mut undone = poses.to_vec();
+        for pose in undone.iter_mut().filter(|pose| pose.time_s >= self.first_s) {
+            let value = &mut pose.mean_mps2[self.axis];
+            *value = match self.step {
+                Step::Bias => *value - size,
+                Step::Gain => bias_mps2 + (*value - bias_mps2) / (1.0 + size),
+                Step::Sign => -*value,
+            };
+        }
+        undone
+    }
+}
+
+/// Indices of the poses before which a step is tested.
+fn times(count: usize) -> impl Iterator<Item = usize> + Clone {
+    (MIN_SIDE..=count.saturating_sub(MIN_SIDE)).step_by(count.div_ceil(MAX_TIMES).max(1))
+}
+
 fn likeliest(unexplained: &Unexplained, fitted: Terms) -> Option<Found> {
     let count = unexplained.poses().len();
     let mut found = Vec::new();
@@ -165,7 +283,7 @@ fn likeliest(unexplained: &Unexplained, fitted: Terms) -> Option<Found> {
     for hypothesis in of_session {
         found.extend(test(unexplained, hypothesis, 0));
     }
-    let times = (MIN_SIDE..=count.saturating_sub(MIN_SIDE)).step_by(count.div_ceil(MAX_TIMES));
+    let times = times(count);
     let tests = (3 * times.clone().count().max(1)) as f64;
     for after in times {
         for axis in 0..3 {

@@ -1,6 +1,6 @@
 //! Checks that hold for recordings of every format: order of time, rows that are no measurement, sensors that have stopped.
 
-use super::{Origin, Quantity, TrackInfo};
+use super::{Origin, Quantity, TrackInfo, Unit};
 use crate::plural::counted;
 use crate::stats::norm;
 use crate::{Code, Problem};
@@ -8,6 +8,12 @@ use crate::{Code, Problem};
 /// Ratios of the magnitude of three equal components to the usual one, below and above which they are no measurement: drivers
 /// write 0, −1 or −999 where the bus failed. Chosen: −1 LSB of 2048 LSB/g is below, shocks are not above in three equal axes.
 const NO_MEASUREMENT: [f64; 2] = [1e-3, 5.0];
+/// Largest output of any sensor: an integer of 32 bits, and in SI units 100,000 g or 10⁶ rad/s.
+const LARGEST_COUNT: f64 = 4_294_967_296.0;
+const LARGEST_SI: f64 = 1e6;
+/// Fraction of rows without numbers that are reported of a gyroscope: one that is slower than the accelerometer of its table
+/// has at least a third of empty rows.
+const FEW: f64 = 0.25;
 /// Weight of a row in the usual magnitude.
 const WEIGHT: f64 = 1.0 / 16.0;
 /// Rows by which an axis is known to have stopped, at least.
@@ -40,10 +46,13 @@ pub(super) struct Checks {
     factor: f64,
     rows: u64,
     latest_ns: Option<i64>,
-    /// Rows that have a wrong stamp, are earlier than a row before, not finite, and no measurement.
+    /// Rows that have a wrong stamp, are earlier than a row before, not finite, larger than any output, and no measurement.
     wrong: u64,
     early: Rows,
     not_finite: Rows,
+    too_large: Rows,
+    /// The first of these values.
+    large: f64,
     replaced: Rows,
     /// Usual magnitude.
     usual: f64,
@@ -66,6 +75,8 @@ impl Checks {
             wrong: 0,
             early: Rows::default(),
             not_finite: Rows::default(),
+            too_large: Rows::default(),
+            large: 0.0,
             replaced: Rows::default(),
             usual: 0.0,
             last: None,
@@ -112,6 +123,13 @@ impl Checks {
         if !row.iter().all(|value| value.is_finite()) {
             self.not_finite.add(time_ns);
         } else if self.is_inertial() {
+            if let Some(large) = row.into_iter().find(|value| value.abs() > self.largest()) {
+                if self.too_large.count == 0 {
+                    self.large = large;
+                }
+                self.too_large.add(time_ns);
+                return (time_ns, [f64::NAN; 4]);
+            }
             if self.is_no_measurement(row) {
                 self.replaced.add(time_ns);
                 return (time_ns, [f64::NAN; 4]);
@@ -119,6 +137,10 @@ impl Checks {
             self.follow(time_ns, row);
         }
         (time_ns, row)
+    }
+
+    fn largest(&self) -> f64 {
+        if self.info.unit == Unit::Si { LARGEST_SI } else { LARGEST_COUNT }
     }
 
     /// Whether an accelerometer has three equal components that are far from its usual magnitude.
@@ -156,10 +178,20 @@ impl Checks {
             (counted(rows.count as usize, "row"), format!("the first at {first_s:.2} s"))
         };
         let mut problems = Vec::new();
-        if self.is_force() && self.not_finite.count > 0 {
+        let few = self.is_inertial() && (self.not_finite.count as f64) < FEW * rows as f64;
+        if self.not_finite.count > 0 && (self.is_force() || few) {
             let (rows_text, first) = at(self.not_finite);
             let text = format!("{rows_text} of {rows} of {track} not finite numbers, {first}");
             problems.push(Code::RowsMasked.warning(text).remedy("they are left out"));
+        }
+        if self.too_large.count > 0 {
+            let (rows_text, first) = at(self.too_large);
+            let text = format!(
+                "{rows_text} of {rows} of {track} exceed the range of any sensor, {first}: {:.3e}",
+                self.large
+            );
+            let remedy = "they are left out; check the driver and the number format of the file";
+            problems.push(Code::RowsMasked.warning(text).remedy(remedy));
         }
         if self.replaced.count > 0 {
             let (rows_text, first) = at(self.replaced);
@@ -208,14 +240,14 @@ impl Checks {
     /// An accelerometer most of whose rows cannot be used.
     pub(super) fn refusal(&self) -> Option<Problem> {
         let (rows, track) = (self.rows, &self.info.name);
-        let not_finite = self.not_finite.count + self.replaced.count;
+        let unusable = self.not_finite.count + self.replaced.count + self.too_large.count;
         let early = self.early.count + self.wrong;
         let message = format!(
-            "most rows of {track} cannot be used: {not_finite} of {rows} are not finite numbers, {early} are earlier than a row before"
+            "most rows of {track} cannot be used: {unusable} of {rows} are not usable numbers, {early} are earlier than a row before"
         );
         let remedy = "check the file; if it contains several runs, select one with --where; if its rows are means over static \
                       poses, add --poses";
-        (self.is_force() && 2 * (not_finite + early) > rows)
+        (self.is_force() && 2 * (unusable + early) > rows)
             .then(|| Code::DataRefused.error(message, remedy))
     }
 }

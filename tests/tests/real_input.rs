@@ -175,7 +175,7 @@ fn array(run: u32) -> Option<[f64; 2]> {
         let data = data.samples(selection).unwrap();
         let report = calibrate(&data, &options).unwrap();
         let fit = report.estimate.as_ref().unwrap_or_else(|| panic!("{:?}", report.outcome.reason));
-        assert!((1.5..4.0).contains(&fit.condition), "{}", fit.condition);
+        assert!((1.5..4.0).contains(&fit.condition()), "{}", fit.condition());
         let sensitivity = report.sensitivity_lsb_per_g().unwrap();
         assert!((sensitivity / 2048.0 - 1.0).abs() < 0.03, "{sensitivity}");
         sums[0] += fit.rms_mps2 * 1e3 / 8.0;

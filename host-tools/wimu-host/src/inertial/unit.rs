@@ -11,7 +11,6 @@ use wimu_nav::stance::stances;
 use super::aids::Aid;
 use super::aids::position::LOOP;
 use super::aids::speed::SPEED;
-use super::frozen::Sense;
 use super::horizon::{gap_s, gaps};
 use super::moves::{Move, REST_S, moves};
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
@@ -36,6 +35,9 @@ const HEADING_TRIAL_S: f64 = 120.0;
 /// Means of a rest are taken over this time, s, and are compared where it has this number of them.
 const BLOCK_S: f64 = 0.05;
 const LEAST_BLOCKS: usize = 20;
+/// Least standard deviation of a component of the mean, m/s²: what is within 4.6 times of it changes the velocity by 5 mm/s in
+/// a block, half of the deviation of the velocity at a rest. Steps of a coarse sensor are below it.
+const LEAST_MPS2: f64 = 0.02;
 /// χ² quantile, 99.99 %, and median, 3 degrees of freedom.
 const CHI_SQUARE_3: f64 = 21.11;
 const MEDIAN_3: f64 = 2.366;
@@ -327,28 +329,21 @@ impl<'a> Unit<'a> {
         rests
     }
 
-    /// Leaves out the parts of rests at which a sensor does not show what it shows in most of the rest: to the variance of a
-    /// window a slow motion looks like a rest. χ² test of means over [`BLOCK_S`] about their median, by their median square or
-    /// the deviation of the detector, the smaller of them. Equation (174).
+    /// Leaves out the parts of rests at which the specific force is not that of most of the rest: to the variance of a window a
+    /// slow motion looks like a rest. χ² test of means over [`BLOCK_S`] about their median. Equation (174).
     fn leave_out_slow_motions(&self, rests: &mut [bool], settings: &RestLimits) {
         let step_s = median_step_s(self.times_s);
         let length = ((BLOCK_S / step_s).round() as usize).max(1);
-        let senses: [(Sense, f64); 2] = [
-            (|s| Some(s.force_mps2), settings.force_mps2),
-            (|s| s.rate_rad_s, settings.rate_offset_rad_s),
-        ];
         for rest in runs(rests) {
-            for (sense, sd) in senses {
-                let blocks = self.samples[rest.clone()].chunks(length);
-                let mean = |block: &[Sample]| {
-                    let values: Vec<Vector3<f64>> = block.iter().filter_map(sense).collect();
-                    values.iter().sum::<Vector3<f64>>() / values.len() as f64
-                };
-                let means: Vec<Vector3<f64>> = blocks.map(mean).collect();
-                for block in unlike_most(&means, sd) {
-                    let from = rest.start + block * length;
-                    rests[from..(from + length).min(rest.end)].fill(false);
-                }
+            let mean = |block: &[Sample]| {
+                block.iter().map(|s| s.force_mps2).sum::<Vector3<f64>>() / block.len() as f64
+            };
+            let means: Vec<Vector3<f64>> =
+                self.samples[rest.clone()].chunks(length).map(mean).collect();
+            let sd_mps2 = settings.force_mps2.hypot(self.noise_mps2 / (length as f64).sqrt());
+            for block in unlike_most(&means, sd_mps2) {
+                let from = rest.start + block * length;
+                rests[from..(from + length).min(rest.end)].fill(false);
             }
             for part in runs(&rests[rest.clone()]) {
                 if (part.len() as f64) * step_s < settings.window_s && part.len() < rest.len() {
@@ -515,8 +510,8 @@ pub(super) fn detector(profile: Profile) -> RestLimits {
     }
 }
 
-/// The blocks of a rest that are not like most of it, which has the standard deviation `sd` of a component at most.
-fn unlike_most(blocks: &[Vector3<f64>], sd: f64) -> Vec<usize> {
+/// The blocks of a rest that are not like most of it, which has the standard deviation `sd_mps2` of a component at most.
+fn unlike_most(blocks: &[Vector3<f64>], sd_mps2: f64) -> Vec<usize> {
     let middle = Vector3::from_fn(|axis, _| {
         median(blocks.iter().map(|block| block[axis])).unwrap_or_default()
     });
@@ -525,7 +520,8 @@ fn unlike_most(blocks: &[Vector3<f64>], sd: f64) -> Vec<usize> {
     else {
         return Vec::new();
     };
-    let limit = CHI_SQUARE_3 * (usual / MEDIAN_3).min(sd * sd);
+    let sd_mps2 = (usual / MEDIAN_3).sqrt().min(sd_mps2).max(LEAST_MPS2);
+    let limit = CHI_SQUARE_3 * sd_mps2 * sd_mps2;
     (0..blocks.len()).filter(|block| squares[*block] > limit).collect()
 }
 

@@ -172,7 +172,7 @@ fn a_value_beyond_the_full_scale_is_left_out_as_if_it_were_missing_and_said() {
             pairs.map(|(a, b)| (0..3).map(|i| (a.position_m[i] - b.position_m[i]).abs()).sum());
         apart.fold(0.0, f64::max)
     };
-    for (choice, value) in choices().step_by(4).zip([65_536.0, -2001.0, 1e308]) {
+    for (choice, value) in choices().step_by(4).zip([65_536.0, -2001.0, 9e5]) {
         let (clean, missing) = (with(&[], &choice), with(&[(300, 0, f64::NAN)], &choice));
         let found = with(&[(300, 0, value)], &choice);
         let said = "the accelerometer gives more than its full scale, 2000 m/s², in 1 sample, first at 3.00 s";
@@ -212,7 +212,7 @@ fn an_output_of_an_array_beyond_any_full_scale_is_left_out_and_said() {
         .flat_map(|k| ["X", "Y", "Z"].map(|axis| format!("Accelerometer {k} {axis} (m/s²)")))
         .collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    for (value, left_out) in [(65_536.0, true), (1e308, true), (1999.0, false)] {
+    for (value, left_out) in [(65_536.0, true), (9e5, true), (1999.0, false)] {
         let csv = file(&table(0.3, &[(300, 4, value)], &names, 3));
         let recording = Array::read(&csv, &ReadOptions::default(), None).unwrap();
         let said = "2000 m/s², in 1 output, first at 3.00 s";

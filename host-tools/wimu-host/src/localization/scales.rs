@@ -6,7 +6,7 @@ use crate::inertial::Residual;
 use crate::inertial::aids::Aid;
 
 /// Ranges that are used, at most: several minutes of a usual system.
-const MOST: usize = 12_000;
+pub(super) const MOST: usize = 12_000;
 /// Factors of the search, the coarse one first.
 const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
 /// Least gain of the log-likelihood of a step.

@@ -9,8 +9,9 @@ use wimu_nav::state::{POSITION, VELOCITY};
 
 use super::aids::Aid;
 use super::navigator::{Carrier, Navigator, Step, counted_findings};
+use super::rests::detector;
 use super::sense::{Senses, clipped_samples};
-use super::unit::{HEADINGS, OnceEachField, Unit, detector, noise_mps2};
+use super::unit::{HEADINGS, OnceEachField, Unit, noise_mps2};
 use super::{AidUse, Choice, InertialPath, Method, PathPoint, Residual, other_clock};
 use crate::imu::{Imu, Sample};
 use crate::localization::AnchorStates;

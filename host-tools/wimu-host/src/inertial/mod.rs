@@ -32,6 +32,7 @@ mod navigator;
 mod path;
 mod rates;
 mod report;
+mod rests;
 mod segments;
 mod sense;
 mod smooth;

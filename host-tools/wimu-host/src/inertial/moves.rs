@@ -10,8 +10,9 @@ use serde::ser::{Serialize, SerializeStruct, Serializer};
 use wimu_nav::navigator::{Motion, Navigator, Profile, Sample, Start};
 use wimu_nav::state::POSITION;
 
+use super::rests::runs;
 use super::smooth::Tape;
-use super::unit::{Unit, runs};
+use super::unit::Unit;
 use super::{Choice, Method, PathPoint, Zupt};
 
 /// The shortest rest between two moves, s.

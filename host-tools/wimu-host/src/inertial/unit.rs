@@ -14,12 +14,13 @@ use super::aids::speed::SPEED;
 use super::horizon::{gap_s, gaps};
 use super::moves::{Move, REST_S, moves};
 use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings};
+use super::rests::runs;
 use super::sense::Senses;
 use super::steps::{steps, turns_like_a_foot};
 use super::{Choice, InertialPath, Method};
 use crate::imu::Imu;
 use crate::plural::counted;
-use crate::rests::{RestDetector, RestLimits};
+use crate::rests::RestLimits;
 use crate::stats::{median, quantile};
 use crate::{Code, Problem, Result};
 
@@ -31,16 +32,6 @@ const SHORT_ALIGNMENT_S: f64 = 0.1;
 /// Headings at the start that are tried where fixes show the position, and time of the trial, s.
 pub(super) const HEADINGS: u32 = 12;
 const HEADING_TRIAL_S: f64 = 120.0;
-
-/// Means of a rest are taken over this time, s, and are compared where it has this number of them.
-const BLOCK_S: f64 = 0.05;
-const LEAST_BLOCKS: usize = 20;
-/// Least standard deviation of a component of the mean, m/s²: what is within 4.6 times of it changes the velocity by 5 mm/s in
-/// a block, half of the deviation of the velocity at a rest. Steps of a coarse sensor are below it.
-const LEAST_MPS2: f64 = 0.02;
-/// χ² quantile, 99.99 %, and median, 3 degrees of freedom.
-const CHI_SQUARE_3: f64 = 21.11;
-const MEDIAN_3: f64 = 2.366;
 
 /// The samples, each reading of a magnetometer that is slower than the accelerometer once.
 #[derive(Default)]
@@ -312,47 +303,6 @@ impl<'a> Unit<'a> {
         Some(Aid::of(&LOOP, *last_s, &start, sd_m))
     }
 
-    /// Whether the unit is at rest at each sample: a window about the sample, or the times that were given.
-    fn rests(&self, choice: &Choice, method: Method) -> Vec<bool> {
-        if let Some(given) = &choice.rests_s {
-            let inside = |t: &f64| given.iter().any(|rest| rest.contains(t));
-            return self.times_s.iter().map(inside).collect();
-        }
-        let mut settings = detector(choice.profile);
-        if method != Method::Strapdown {
-            settings = settings.without_gyroscope(self.noise_mps2);
-        }
-        let statistics = self.statistics(settings);
-        let at_rest = statistics.iter().map(|statistic| *statistic < settings.threshold);
-        let mut rests: Vec<bool> = at_rest.collect();
-        self.leave_out_slow_motions(&mut rests, &settings);
-        rests
-    }
-
-    /// Leaves out the parts of rests at which the specific force is not that of most of the rest: to the variance of a window a
-    /// slow motion looks like a rest. χ² test of means over [`BLOCK_S`] about their median. Equation (174).
-    fn leave_out_slow_motions(&self, rests: &mut [bool], settings: &RestLimits) {
-        let step_s = median_step_s(self.times_s);
-        let length = ((BLOCK_S / step_s).round() as usize).max(1);
-        for rest in runs(rests) {
-            let mean = |block: &[Sample]| {
-                block.iter().map(|s| s.force_mps2).sum::<Vector3<f64>>() / block.len() as f64
-            };
-            let means: Vec<Vector3<f64>> =
-                self.samples[rest.clone()].chunks(length).map(mean).collect();
-            let sd_mps2 = settings.force_mps2.hypot(self.noise_mps2 / (length as f64).sqrt());
-            for block in unlike_most(&means, sd_mps2) {
-                let from = rest.start + block * length;
-                rests[from..(from + length).min(rest.end)].fill(false);
-            }
-            for part in runs(&rests[rest.clone()]) {
-                if (part.len() as f64) * step_s < settings.window_s && part.len() < rest.len() {
-                    rests[rest.start + part.start..rest.start + part.end].fill(false);
-                }
-            }
-        }
-    }
-
     /// The stances of a foot: the standard deviation of the velocity there, m/s. What does not turn like a foot has none.
     fn stances(&self, choice: &Choice) -> Vec<Option<f64>> {
         let are_given = choice.rests_s.is_some() || choice.zupt.rests() == Rests::Ignored;
@@ -391,29 +341,6 @@ impl<'a> Unit<'a> {
         let remedy =
             "hold the unit still for a second before the motion; on a foot: --profile foot";
         Code::DataRefused.error(message, remedy).at(self.name)
-    }
-
-    /// Statistic of the window about each sample; the nearest full window at both ends.
-    fn statistics(&self, mut settings: RestLimits) -> Vec<f64> {
-        settings.gravity_mps2 = self.gravity_mps2;
-        let mut detector = RestDetector::new(settings);
-        let (mut found, mut ahead_s) = (Vec::with_capacity(self.samples.len()), 0.0);
-        let mut filling = 0;
-        let mut last = f64::INFINITY;
-        for sample in self.samples {
-            let rate = sample.rate_rad_s.as_ref();
-            detector.push(&sample.force_mps2, rate, sample.step_s);
-            ahead_s += sample.step_s;
-            last = detector.statistic().unwrap_or(f64::INFINITY);
-            if ahead_s + 0.5 * sample.step_s >= detector.lag_s() {
-                found.push(last);
-                filling += usize::from(filling + 1 == found.len() && last.is_infinite());
-            }
-        }
-        let first = found.get(filling).copied().unwrap_or(f64::INFINITY);
-        found[..filling].fill(first);
-        found.resize(self.samples.len(), last);
-        found
     }
 
     /// Samples within a time of the start: at least one.
@@ -500,41 +427,6 @@ pub(crate) fn run(navigator: &mut Navigator, aids: &[Aid], last: Option<&Aid>, s
 
 fn rests_of(steps: &[Step]) -> Vec<bool> {
     steps.iter().map(|step| step.resting).collect()
-}
-
-/// The detector of rests for a profile.
-pub(super) fn detector(profile: Profile) -> RestLimits {
-    match profile {
-        Profile::Vehicle => RestLimits::vehicle(),
-        _ => RestLimits::default(),
-    }
-}
-
-/// The blocks of a rest that are not like most of it, which has the standard deviation `sd_mps2` of a component at most.
-fn unlike_most(blocks: &[Vector3<f64>], sd_mps2: f64) -> Vec<usize> {
-    let middle = Vector3::from_fn(|axis, _| {
-        median(blocks.iter().map(|block| block[axis])).unwrap_or_default()
-    });
-    let squares: Vec<f64> = blocks.iter().map(|block| (block - middle).norm_squared()).collect();
-    let Some(usual) = median(squares.iter().copied()).filter(|_| blocks.len() >= LEAST_BLOCKS)
-    else {
-        return Vec::new();
-    };
-    let sd_mps2 = (usual / MEDIAN_3).sqrt().min(sd_mps2).max(LEAST_MPS2);
-    let limit = CHI_SQUARE_3 * sd_mps2 * sd_mps2;
-    (0..blocks.len()).filter(|block| squares[*block] > limit).collect()
-}
-
-/// Runs of samples at rest.
-pub(super) fn runs(rests: &[bool]) -> Vec<Range<usize>> {
-    let mut found: Vec<Range<usize>> = Vec::new();
-    for k in (0..rests.len()).filter(|k| rests[*k]) {
-        match found.last_mut().filter(|rest| rest.end == k) {
-            Some(rest) => rest.end = k + 1,
-            None => found.push(k..k + 1),
-        }
-    }
-    found
 }
 
 /// Noise of the accelerometer, m/s², a component: that of the quietest twentieth of windows of 0.25 s.

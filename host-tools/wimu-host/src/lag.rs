@@ -1,4 +1,4 @@
-//! The lag of two signals: the one correlation.
+//! The lag of two signals: the one correlation, and the one search for an offset of greatest likelihood.
 
 use crate::series::{Interp, Ns, Series};
 
@@ -208,4 +208,66 @@ fn independent(grids: &[Grid; 2], lag: i64) -> f64 {
         .map(|later| product(&x[later..], &x) / xx * product(&y[later..], &y) / yy)
         .sum();
     xx * yy / energies / (1.0 + 2.0 * shared).max(1.0)
+}
+
+/// The offset of greatest likelihood.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Likeliest {
+    /// s.
+    pub offset_s: f64,
+    /// Its standard deviation, s, by the curvature of the log-likelihood.
+    pub sd_s: f64,
+    /// By how much the log-likelihood is greater than where the search began.
+    pub gain: f64,
+}
+
+/// Climbs from an offset, s, in steps that are halved from the first to the last of `steps_s`, at most `reach_s` away, and takes
+/// the vertex of the parabola through the greatest log-likelihood and those a step beside it. `None` without a maximum there.
+pub(crate) fn likeliest(
+    from_s: f64,
+    [mut step_s, last_step_s]: [f64; 2],
+    reach_s: f64,
+    mut log_likelihood: impl FnMut(f64) -> Option<f64>,
+) -> Option<Likeliest> {
+    let first = log_likelihood(from_s)?;
+    let (mut at_s, mut most) = (from_s, first);
+    loop {
+        let [before, after] = [log_likelihood(at_s - step_s)?, log_likelihood(at_s + step_s)?];
+        if before.max(after) > most {
+            most = before.max(after);
+            at_s += if before > after { -step_s } else { step_s };
+            if (at_s - from_s).abs() > reach_s {
+                return None;
+            }
+        } else if step_s > last_step_s {
+            step_s *= 0.5;
+        } else {
+            let bend = 2.0 * most - before - after;
+            let off = 0.5 * (after - before) / bend;
+            return (bend > 0.0).then(|| Likeliest {
+                offset_s: at_s + step_s * off,
+                sd_s: step_s / bend.sqrt(),
+                gain: most - first + 0.25 * (after - before) * off,
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::likeliest;
+
+    #[test]
+    fn the_likeliest_offset_is_the_vertex_with_its_standard_deviation() {
+        let log_likelihood = |offset_s: f64| Some(-0.5 * ((offset_s - 0.133) / 0.004).powi(2));
+        for (from_s, steps_s) in [(0.0, [0.02, 0.02]), (1.0, [0.25, 0.03]), (0.13, [0.01, 0.01])] {
+            let found = likeliest(from_s, steps_s, 2.0, log_likelihood).unwrap();
+            assert!((found.offset_s - 0.133).abs() < 1e-9, "{found:?}");
+            assert!((found.sd_s - 0.004).abs() < 1e-9, "{found:?}");
+            let gain = 0.5 * ((from_s - 0.133) / 0.004_f64).powi(2);
+            assert!((found.gain - gain).abs() < 1e-6 * gain.max(1.0), "{found:?}");
+        }
+        assert_eq!(likeliest(0.0, [0.02; 2], 0.05, log_likelihood), None, "beyond the reach");
+        assert_eq!(likeliest(0.0, [0.02; 2], 1.0, |offset_s| Some(offset_s.abs())), None);
+    }
 }

@@ -7,6 +7,7 @@ use super::aids::Aids;
 use super::segments::IMPROBABLE;
 use super::unit::{Unit, run};
 use super::{Choice, Method};
+use crate::lag::likeliest;
 use crate::series::{Interp, Ns, Series};
 use crate::stats::median;
 
@@ -18,35 +19,25 @@ const SHOWN_S: f64 = 20.0;
 const INNOVATIONS: usize = 30;
 
 impl Unit<'_> {
-    /// The delay of the angular rate with the smallest innovations at rests and stances, s: least squares. `None` where they
-    /// do not differ from those without a delay by more than chance, or it is below a sample interval, where interpolation
-    /// averages two samples and so reduces the noise: the logarithm of the ratio of two mean squares of ν
-    /// values has the variance 4/ν (R. A. Fisher, "On a distribution yielding the error functions of several well known
-    /// statistics", 1924).
+    /// The delay of the angular rate of greatest likelihood of the innovations at rests and stances, of unknown variance, s. `None`
+    /// where they do not differ from those without a delay by more than chance, or it is below a sample interval, where
+    /// interpolation averages two samples and so reduces the noise: the logarithm of the ratio of two mean squares of ν values
+    /// has the variance 4/ν (R. A. Fisher, "On a distribution yielding the error functions of several well known statistics",
+    /// 1924), and the log-likelihood, ν/2 of it, ν.
     pub fn rate_delay_s(&self, choice: &Choice) -> Option<f64> {
         if choice.profile == Profile::Vehicle || choice.aids != Aids::default() {
             return None;
         }
-        let (now, dof) = self.mean_square(0.0, choice)?;
+        let (_, dof) = self.mean_square(0.0, choice)?;
         if dof < INNOVATIONS {
             return None;
         }
-        let at = |delay_s: f64| Some(self.mean_square(delay_s, choice)?.0.ln());
-        let [before, middle, after] = [at(-STEP_S)?, now.ln(), at(STEP_S)?];
-        let step_s = if after < before { STEP_S } else { -STEP_S };
-        let (mut delay_s, mut least, mut last) = (0.0_f64, middle, before.max(after));
-        let mut next = before.min(after);
-        while next < least && delay_s.abs() < LARGEST_S {
-            (delay_s, last, least) = (delay_s + step_s, least, next);
-            next = at(delay_s + step_s)?;
-        }
-        // The vertex of the parabola through the least value and those beside it.
-        let vertex = 0.5 * (last - next) / (last - 2.0 * least + next);
-        delay_s += step_s * vertex.clamp(-0.5, 0.5);
-        let gained = middle - at(delay_s)?.min(least);
+        let half = 0.5 * dof as f64;
+        let log_likelihood = |delay_s: f64| Some(-half * self.mean_square(delay_s, choice)?.0.ln());
+        let found = likeliest(0.0, [STEP_S; 2], LARGEST_S, log_likelihood)?;
         let interval_s = median(self.times_s.windows(2).map(|pair| pair[1] - pair[0]))?;
-        let is_shown = gained > IMPROBABLE * (4.0 / dof as f64).sqrt();
-        (is_shown && delay_s.abs() > interval_s).then_some(delay_s)
+        let is_shown = found.gain > IMPROBABLE * (dof as f64).sqrt();
+        (is_shown && found.offset_s.abs() > interval_s).then_some(found.offset_s)
     }
 
     /// Mean square of the innovations at a delay, and their degrees of freedom.

@@ -5,9 +5,12 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Rotation3, Vector3};
 
+use super::findings::last_shift;
 use super::model::Model;
 use super::run::{DELAY_S, Motion, Recording, START_M, Start};
 use super::start::candidates;
+use crate::Result;
+use crate::lag::likeliest;
 
 /// A hypothesis is followed for this time, s: without a heading, until the unit has moved.
 const TRIAL_S: f64 = 10.0;
@@ -119,7 +122,7 @@ fn starts(recording: &Recording, model: &Model) -> Vec<Start> {
 
 /// Shifts of the clock that are tried, s, and the gain of the log-likelihood that shows one.
 const SHIFTS_S: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
-/// End of the search, s: halved steps about the last shift reach it.
+/// End of the search, s.
 pub(super) const LAST_SHIFT_S: f64 = 12.0;
 const SHIFT_GAIN: f64 = 50.0;
 /// They are tried if the ranges contradict the path, their noise is larger than assumed by this factor, or the delay that was
@@ -139,16 +142,14 @@ pub(super) fn fits(model: &Model, delay_s: f64) -> bool {
         && delay_s.abs() < CLOCK_DELAY * DELAY_S
 }
 
-/// Whether a shift of the clock, s, is at the end of the search.
-pub(super) fn is_last(shift_s: f64) -> bool {
-    shift_s.abs() > LAST_SHIFT_S - 2.0 * SHIFT_S
-}
-
 /// Time that the clock of the ranges is behind that of the other sensor, s, where it explains the ranges far better. Each
 /// shift has its own most probable start. Equation (172).
-pub(super) fn clock_shift(recording: &Recording, model: &Model) -> Option<f64> {
+///
+/// # Errors
+/// `data_refused`: the best one is at the end of the search.
+pub(super) fn clock_shift(recording: &Recording, model: &Model) -> Result<Option<f64>> {
     if matches!(recording.motion, Motion::Free) {
-        return None;
+        return Ok(None);
     }
     let part = Recording {
         ranges: &recording.ranges[..recording.ranges.len().min(SHIFT_RANGES)],
@@ -170,16 +171,12 @@ pub(super) fn clock_shift(recording: &Recording, model: &Model) -> Option<f64> {
         let most = best.map_or(f64::NEG_INFINITY, |(most, ..)| most);
         best = found.filter(|(found, ..)| *found > most).or(best);
     }
-    let (mut most, mut shift_s, start) = best.filter(|(most, ..)| *most > least)?;
-    let mut step_s = 0.25 * shift_s.abs();
-    while step_s > SHIFT_S {
-        for next_s in [shift_s - step_s, shift_s + step_s] {
-            let found = likelihood(next_s, &start);
-            if found > most {
-                (most, shift_s) = (found, next_s);
-            }
-        }
-        step_s *= 0.5;
-    }
-    Some(shift_s)
+    let Some((_, shift_s, start)) = best.filter(|(most, ..)| *most > least) else {
+        return Ok(None);
+    };
+    let steps_s = [0.25 * shift_s.abs(), SHIFT_S];
+    let reach_s = LAST_SHIFT_S - shift_s.abs();
+    let near = |shift_s: f64| Some(likelihood(shift_s, &start));
+    let found = likeliest(shift_s, steps_s, reach_s, near);
+    Ok(Some(found.ok_or_else(|| last_shift(shift_s))?.offset_s))
 }

@@ -24,7 +24,7 @@ use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Holes, InertialPath, Method, StartPose};
 use crate::{Code, Problem, Result};
 use anchors::Misplaced;
-use hypotheses::{Chosen, choose, clock_shift, fits, is_last};
+use hypotheses::{Chosen, choose, clock_shift, fits};
 use run::{DELAY_S, Motion, Recording, Run};
 
 /// An anchor as its file has it.
@@ -236,15 +236,12 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     let shift_s = if fits(&model, run.delay()) && !run.navigator.is_contradicted() {
         None
     } else {
-        clock_shift(&problem, &model)
+        clock_shift(&problem, &model).map_err(at)?
     };
     if let Some(shift_s) = shift_s {
         let shifted = Model { shift_s, ..prior };
         let found = solved(&problem, shifted, choice).map_err(at)?;
         let explains = fits(&found.1, found.0.delay());
-        if is_last(shift_s) {
-            return Err(at(findings::last_shift(shift_s)));
-        }
         noticed.push(findings::clock(shift_s, explains));
         if explains {
             (run, model, chosen) = found;

@@ -4,12 +4,12 @@ use nalgebra::Rotation3;
 
 use super::engine::{self, Model};
 use super::pair::{LEAST_OVERLAP_S, Unit, steps};
-use crate::lag::{Search, lag};
+use crate::lag::{Search, lag, likeliest};
 use crate::{Code, Problem, Result};
 
-/// Offsets that are tried on each side of the best one, and their distance, s.
-const TRIED: i32 = 2;
+/// Step of the search for the offset of greatest likelihood, s, and how far it reaches.
 const STEP_S: f64 = 0.02;
+const REACH_S: f64 = 0.1;
 /// Motion by which the offset is found, s.
 const REFINED_S: f64 = 60.0;
 /// Standard deviation of the offset of clocks that the recordings have in common, s, where the motion does not show it.
@@ -71,58 +71,44 @@ pub(super) fn coarse(units: &[Unit; 2]) -> Result<(Clock, Vec<Problem>)> {
     }
 }
 
-/// The offset of greatest likelihood near the coarse one, by the accelerations of the joint: a parabola through five runs.
+/// The offset of greatest likelihood near the coarse one, by the accelerations of the joint.
 pub(super) fn refined(
     units: &[Unit; 2],
     mut clock: Clock,
     start: Rotation3<f64>,
     model: &Model,
     noticed: &mut Vec<Problem>,
-) -> Result<Clock> {
+) -> Clock {
     let moved = clock.offset_s != 0.0;
-    for _ in 0..2 {
-        let (mut found, mut count) = (Vec::new(), 0.0);
-        for k in -TRIED..=TRIED {
-            let mut all = steps(units, clock.offset_s + f64::from(k) * STEP_S);
-            let end_s = all.first().map_or(0.0, |step| step.time_s + REFINED_S);
-            all.retain(|step| step.time_s <= end_s);
-            let log_likelihood = engine::run(&all, start, model).log_likelihood;
-            // Runs of different lengths have different numbers of updates.
-            count = all.len().max(1) as f64;
-            found.push(log_likelihood / count);
-        }
-        let Some((peak, sd)) = parabola(&found, count) else {
-            break;
-        };
-        let offset_s = clock.offset_s + STEP_S * peak.clamp(-f64::from(TRIED), f64::from(TRIED));
-        let sd_s = (STEP_S * sd).max(LEAST_SD_S);
-        clock.measured_s = Some(offset_s);
-        let is_significant = moved || offset_s.abs() > SIGNIFICANT * sd_s;
-        clock.sd_s = if moved { sd_s } else { sd_s.min(COMMON_SD_S) };
-        if !is_significant {
-            return Ok(clock);
-        }
-        (clock.offset_s, clock.sd_s) = (offset_s, sd_s);
-        if peak.abs() < f64::from(TRIED) {
-            break;
-        }
+    let begun = |offset_s: f64| {
+        let mut all = steps(units, offset_s);
+        let end_s = all.first().map_or(0.0, |step| step.time_s + REFINED_S);
+        all.retain(|step| step.time_s <= end_s);
+        all
+    };
+    let count = begun(clock.offset_s).len() as f64;
+    // Runs of different lengths have different numbers of updates.
+    let log_likelihood = |offset_s: f64| {
+        let all = begun(offset_s);
+        let found = engine::run(&all, start, model).log_likelihood * count / all.len() as f64;
+        found.is_finite().then_some(found)
+    };
+    let Some(found) = likeliest(clock.offset_s, [STEP_S; 2], REACH_S, log_likelihood) else {
+        return clock;
+    };
+    let sd_s = found.sd_s.max(LEAST_SD_S);
+    clock.measured_s = Some(found.offset_s);
+    if !moved && found.offset_s.abs() <= SIGNIFICANT * sd_s {
+        clock.sd_s = sd_s.min(COMMON_SD_S);
+        return clock;
     }
-    if !moved && clock.offset_s != 0.0 {
-        let (offset_ms, sd_ms) = (clock.offset_s * 1e3, clock.sd_s * 1e3);
+    (clock.offset_s, clock.sd_s) = (found.offset_s, sd_s);
+    if !moved {
+        let [offset_ms, sd_ms] = [found.offset_s, sd_s].map(|time_s| time_s * 1e3);
         let evidence = format!(
             "the clock of the second unit is {offset_ms:+.0} ± {sd_ms:.0} ms behind: corrected"
         );
         noticed.push(Code::Clock.note(evidence));
     }
-    Ok(clock)
-}
-
-/// Vertex of the parabola through log-likelihoods per step at −2 … 2, and its standard deviation; `None` without a maximum.
-fn parabola(found: &[f64], count: f64) -> Option<(f64, f64)> {
-    let moment = |weights: [f64; 5]| found.iter().zip(weights).map(|(y, w)| y * w).sum::<f64>();
-    // Least squares on five equal steps (Savitzky and Golay, 1964).
-    let slope = moment([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10.0;
-    let bend = moment([2.0, -1.0, -2.0, -1.0, 2.0]) / 7.0;
-    let is_peak = bend < 0.0 && found.iter().all(|y| y.is_finite());
-    is_peak.then(|| (-slope / bend, (-1.0 / (bend * count)).sqrt()))
+    clock
 }

@@ -104,7 +104,7 @@ fn search(
         Model { hinge: given, bias_mps2: recordings[0].bias_mps2().max(recordings[1].bias_mps2()) };
     let all = steps(&units, clock.offset_s);
     let start = start(&all, &model, &mut noticed).map_err(at)?;
-    let clock = clock::refined(&units, clock, start, &model, &mut noticed)?;
+    let clock = clock::refined(&units, clock, start, &model, &mut noticed);
     let all = steps(&units, clock.offset_s);
     let mut run = engine::run(&all, start, &model);
     let hinge = match given {

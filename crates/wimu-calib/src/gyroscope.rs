@@ -249,6 +249,10 @@ fn result(session: &Session<'_>, found: &Found) -> Result<GyroscopeEstimate, Mod
     for (a, b) in DIAGONAL.map(|a| DIAGONAL.map(|b| (a, b))).into_iter().flatten() {
         covariance[(G_SENSITIVITY + a, G_SENSITIVITY + b)] += earth;
     }
+    // A constant bias is rounded alike at all rests.
+    for axis in 0..3 {
+        covariance[(axis, axis)] += session.rounding[axis];
+    }
     let known = [noise.bias <= BIAS_WALK, noise.turn <= TURN_ERROR[0]];
     let dof = |k: usize| if known[k] { f64::INFINITY } else { squares[k].dof.max(LEAST_DOF) };
     Ok(GyroscopeEstimate {

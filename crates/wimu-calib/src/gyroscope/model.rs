@@ -171,8 +171,9 @@ impl<'a> Rotations<'a> {
     fn variances(&self, rest: &Rest) -> SVector<f64, ERRORS> {
         let Noise { sample, bias, .. } = self.noise;
         let rate = sample / rest.samples + bias * rest.length_s / 12.0 + EARTH_LEVEL;
+        let [x, y, z] = self.session.rounding.map(|rounding| rate + rounding).into();
         let direction = rest.force_variance / rest.force.norm_squared();
-        SVector::from([rate, rate, rate, direction, direction, direction])
+        SVector::from([x, y, z, direction, direction, direction])
     }
 
     /// The observations from rest `k` on.

@@ -16,6 +16,8 @@ use crate::estimate::Residuals;
 const RANGES_RAD_S: [f64; 7] = [2.182, 4.276, 4.363, 8.727, 17.453, 34.907, 69.813];
 const NEAR: f64 = 0.03;
 const IN_A_ROW: u32 = 3;
+/// No gyroscope has a step of its output beyond this, rad/s: whole °/s are the coarsest.
+const COARSEST_RAD_S: f64 = 0.02;
 /// Part of the full-scale range from which on an output counts as saturated.
 const SATURATED: f64 = 0.998;
 
@@ -42,6 +44,8 @@ pub(super) struct Rest {
 pub(super) struct Session<'a> {
     pub given: &'a GyroscopeSession<'a>,
     pub limits_rad_s: [f64; 3],
+    /// Variance of the mean of an axis at a rest that quantisation leaves, (rad/s)².
+    pub rounding: Vector3<f64>,
     pub contradicted: Vec<usize>,
 }
 
@@ -75,7 +79,31 @@ impl<'a> Session<'a> {
             Some(range) => [SATURATED * range; 3],
             None => [0, 1, 2].map(|axis| limit(given.samples, axis)),
         };
-        Self { given, limits_rad_s, contradicted: Vec::new() }
+        let mut session =
+            Self { given, limits_rad_s, rounding: Vector3::zeros(), contradicted: Vec::new() };
+        let changes = given.samples.windows(2).flat_map(|pair| {
+            let [before, after] = [pair[0], pair[1]].map(|sample| sample.rate_rad_s);
+            [0, 1, 2].map(|axis| (after[axis] - before[axis]).abs())
+        });
+        let step = changes.filter(|change| *change > 0.0).fold(f64::INFINITY, f64::min);
+        if step < COARSEST_RAD_S {
+            session.rounding = Vector3::from_fn(|axis, _| session.rounding(step, axis));
+        }
+        session
+    }
+
+    /// Quantisation error of the mean at a rest, which more samples do not reduce: equation (59) with the smallest step of all
+    /// axes.
+    fn rounding(&self, step: f64, axis: usize) -> f64 {
+        let (mut squares, mut freedom) = (0.0, 0.0);
+        for samples in self.given.poses.iter().filter_map(|pose| self.samples(pose)) {
+            let rates = || samples.iter().map(|sample| sample.rate_rad_s[axis]);
+            let mean = rates().sum::<f64>() / samples.len() as f64;
+            squares += rates().map(|rate| (rate - mean) * (rate - mean)).sum::<f64>();
+            freedom += samples.len() as f64 - 1.0;
+        }
+        let left = (step * step - 4.0 * squares / freedom) / 12.0;
+        if left.is_finite() { left.max(0.0) } else { 0.0 }
     }
 
     /// `None` if its samples are not there, or not finite.

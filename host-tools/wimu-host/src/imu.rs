@@ -20,6 +20,9 @@ const BIAS_MPS2: f64 = 0.05;
 /// The same of a sensor whose calibration is not known, m/s²: that of public recordings (docs/reference/validation.md, navigation).
 const UNKNOWN_BIAS_MPS2: f64 = 0.1;
 
+/// Largest specific force after correction over the full scale of the accelerometer.
+pub(crate) const BEYOND_RANGE: f64 = 1.5;
+
 /// Change of scale factor and misalignment after a calibration: 0.01 %/K over 10 K (LSM6DSO, MPU-9250 datasheets).
 const MATRIX_CHANGE: f64 = 0.001;
 
@@ -108,8 +111,8 @@ pub struct Imu {
     /// Whether the covariance is that of a new session and includes the turn-on bias: a calibration from several
     /// sessions measured it.
     pub of_sessions: bool,
-    /// Full scale of its accelerometer, m/s², where the recording gives it. A sample beyond it, or else beyond that of any
-    /// accelerometer, was not measured.
+    /// Largest specific force that its accelerometer measures, m/s², where the recording gives its full scale. A sample beyond
+    /// it, or else beyond that of any accelerometer, was not measured.
     pub full_scale_mps2: Option<f64>,
     /// Whether a magnetic field was left out because its magnetometer is not calibrated.
     pub field_uncalibrated: bool,

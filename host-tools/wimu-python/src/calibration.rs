@@ -9,7 +9,6 @@ use wimu_host::calibration::{
     self, CalibrateOptions, CalibrationReport, METHODS, SensorCalibration,
 };
 use wimu_host::recording::Selection;
-use wimu_model::ParameterSet;
 
 use crate::arrays::{Array1, Array2, column, plain, table};
 use crate::failure::{Result, refused, usage};
@@ -177,19 +176,5 @@ impl Correction {
             Self::Calibration(held) => held.get().file.sensor().clone(),
             Self::Path(path) => calibration::Calibration::read(path)?.sensor().clone(),
         })
-    }
-
-    /// The parameters of a board.
-    pub fn parameters(&self) -> wimu_host::Result<ParameterSet> {
-        match self {
-            Self::Calibration(held) => held.get().report.parameters.ok_or_else(|| {
-                let error = wimu_host::Code::BadCalibration.error(
-                    "the calibration has no parameters for a board",
-                    "calibrate counts, or give the sensitivity",
-                );
-                error.at(&held.get().report.source)
-            }),
-            Self::Path(path) => calibration::read_parameters(path),
-        }
     }
 }

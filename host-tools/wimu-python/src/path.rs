@@ -240,23 +240,19 @@ fn motion(
     calibration: Option<&Correction>,
     sensitivity_lsb_per_g: Option<f64>,
 ) -> wimu_host::Result<Imu> {
+    let calibration = calibration.map(Correction::sensor).transpose()?;
     if let Some(path) = source.path()
         && let Input::Recording(path) = Input::parse(&path.to_string_lossy())?
     {
         let recording = capture::Capture::load(&path)?;
-        let boots = recording.link(source.options().role)?.boots.iter();
-        let longest = boots.max_by_key(|boot| boot.raw().len().max(boot.corrected().len()));
+        let longest = recording.link(source.options().role)?.longest();
         let boot = longest.ok_or_else(|| {
             let error = Code::NoRows.error("the recording has no samples", "record again");
             error.at(&recording.name)
         })?;
-        let parameters = calibration.map(Correction::parameters).transpose()?;
-        return navigation::motion(&recording.name, boot, parameters.as_ref());
+        return navigation::motion(&recording.name, boot, calibration.as_ref());
     }
-    let options = ImuOptions {
-        calibration: calibration.map(Correction::sensor).transpose()?,
-        sensitivity_lsb_per_g,
-    };
+    let options = ImuOptions { calibration, sensitivity_lsb_per_g };
     let data = source.data()?;
     Imu::of(&data, &options)
 }

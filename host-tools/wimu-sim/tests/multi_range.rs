@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::f64::consts::FRAC_PI_2;
 
 use wimu_host::Code;
+use wimu_host::calibration::Calibration;
 use wimu_host::capture::{Boot, Capture as Session};
 use wimu_host::inertial::{Choice, navigate};
 use wimu_host::multi_range::{FullScales, Merge};
@@ -249,13 +250,15 @@ fn navigation_through_an_impact_needs_the_coarse_one() {
     let boot = cable(&session);
     let sensitivity = Sensitivity::from_lsb_per_g(16384.0).expect("in range");
     let set = ParameterSet { model: truth.model, ..ParameterSet::uncalibrated(2, sensitivity) };
+    let calibration = Calibration::held(&set);
     let mut alone = boot.clone();
     alone.samples.retain(|(sensor, _), _| *sensor == 0);
     let run = Impact::default();
     let expected_m = run.pose(run.duration()).position_m.iter().map(|p| p * p).sum::<f64>().sqrt();
     assert!(scene.end_s() > 60.0);
     let error_m = |boot: &Boot| {
-        let motion = navigation::motion("a board", boot, Some(&set)).expect("samples");
+        let motion = navigation::motion("a board", boot, Some(calibration.sensor()));
+        let motion = motion.expect("samples");
         let path = navigate(&motion, &Choice::default()).expect("a path");
         let last = path.moves.iter().max_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let last = last.expect("the run");

@@ -2,7 +2,7 @@
 
 use wimu_model::STANDARD_GRAVITY_MPS2;
 
-use super::{FIELD_CALIBRATED, Imu, Reference, Sample, in_body_axes};
+use super::{BEYOND_RANGE, FIELD_CALIBRATED, Imu, Reference, Sample, in_body_axes};
 use crate::apply::Tracks;
 use crate::calibration::{Correction, SensorCalibration};
 use crate::multi_range::{FullScales, Merge};
@@ -20,6 +20,11 @@ pub struct ImuOptions {
 }
 
 impl ImuOptions {
+    /// A calibration.
+    pub(crate) fn of(calibration: &SensorCalibration) -> Self {
+        Self { calibration: Some(calibration.clone()), sensitivity_lsb_per_g: None }
+    }
+
     /// What corrects the output of an accelerometer. Its full scale does not count: merged accelerometers have that of the
     /// widest, and the calibration is that of the finest.
     fn correction(&self, force: &TrackInfo) -> Result<Correction> {
@@ -79,7 +84,7 @@ impl Imu {
                 Some(in_body_axes(&known, &stored.alignment))
             }),
             of_sessions: stored.is_some_and(|stored| stored.accelerometer.of_sessions()),
-            full_scale_mps2: force.info.full_scale,
+            full_scale_mps2: force.info.full_scale.map(|mps2| mps2 * BEYOND_RANGE),
             ..Self::default()
         };
         imu.findings.extend(stored.map(finding));

@@ -37,10 +37,12 @@ impl Recording {
 }
 
 impl Recording {
-    /// The same of one start of the device, at device time from the first sample on.
+    /// The same of one start of the device, at its time.
     pub(crate) fn of_boot(boot: &Boot, name: &str) -> Result<Self> {
         let mut recording = Self::new(name);
-        LinkRows::new(&mut recording).part(&Part::from(boot), name)?;
+        let mut rows = LinkRows::new(&mut recording);
+        rows.begin.1 = Some(0);
+        rows.part(&Part::from(boot), name)?;
         Ok(recording)
     }
 }

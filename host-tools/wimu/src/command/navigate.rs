@@ -10,7 +10,7 @@ mod shown;
 pub use live::Beside;
 
 use serde::Serialize;
-use wimu_host::calibration::read_parameters;
+use wimu_host::calibration::{Calibration, SensorCalibration};
 use wimu_host::capture::{Boot, Capture, Link};
 use wimu_host::digits::{signed, significant};
 use wimu_host::inertial::InertialPath;
@@ -146,9 +146,9 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
     let recording = Capture::load(&arguments.input)?;
     let link = recording.link(arguments.reading.role())?;
     let calibration = arguments.with.first();
-    let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
-    let calibration = calibration.as_ref();
-    let starts = link.boots.iter().map(|boot| start(boot, arguments, calibration));
+    let calibration = calibration.map(|file| Calibration::read(file)).transpose()?;
+    let parameters = calibration.as_ref().map(Calibration::parameters).transpose()?;
+    let starts = link.boots.iter().map(|boot| start(boot, arguments, parameters.as_ref()));
     let starts = starts.collect::<Result<Vec<Start>>>()?;
     if starts.iter().all(|start| start.device.is_none() && start.recomputed.is_none()) {
         return Err(Code::DataRefused
@@ -158,6 +158,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
             )
             .at(&recording.name));
     }
+    let calibration = calibration.as_ref().map(Calibration::sensor);
     let path = path(link, arguments, calibration, &recording.name, output)?;
     for start in &starts {
         start.print(output);
@@ -172,7 +173,7 @@ pub fn run(arguments: &Navigate, output: &Output) -> Result<()> {
 fn path(
     link: &Link,
     arguments: &Navigate,
-    calibration: Option<&ParameterSet>,
+    calibration: Option<&SensorCalibration>,
     name: &str,
     output: &Output,
 ) -> Result<Option<InertialPath>> {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use wimu_host::calibration::{Calibration, read_parameters};
+use wimu_host::calibration::Calibration;
 use wimu_host::capture::Capture;
 use wimu_host::formats;
 use wimu_host::imu::{Imu, ImuOptions};
@@ -49,8 +49,9 @@ pub fn unit(arguments: &Navigate, file: &Path, calibration: Option<&PathBuf>) ->
                     .error("the recording has no samples", "record again")
                     .at(&recording.name)
             })?;
-            let calibration = calibration.map(|file| read_parameters(file)).transpose()?;
-            navigation::motion(&recording.name, longest, calibration.as_ref())
+            let calibration = calibration.map(|file| Calibration::read(file)).transpose()?;
+            let calibration = calibration.as_ref().map(Calibration::sensor);
+            navigation::motion(&recording.name, longest, calibration)
         }
         _ => calibrated(arguments, file, calibration),
     }

@@ -55,7 +55,9 @@ fn correlations(pairs: &[[Vector3<f64>; 2]]) -> Option<Matrix3<f64>> {
 fn description(correlations: &Matrix3<f64>) -> Option<String> {
     let wrong = (0..9).map(|k| (k / 3, k % 3)).find_map(|(own, other)| {
         let correlation = correlations[(own, other)];
-        let is_along = correlation.abs() > ALONG && (own != other || correlation < 0.0);
+        // Over few orientations several axes of the others may change alike.
+        let is_right = correlations[(own, own)] > ALONG;
+        let is_along = correlation.abs() > ALONG && !is_right;
         is_along.then_some((own, other, if correlation < 0.0 { "−" } else { "+" }))
     });
     let (own, other, sign) = wrong?;

@@ -131,11 +131,6 @@ impl Boot {
         self.model().map(|model| model.host_ns(time))
     }
 
-    /// Standard deviation of [`host_ns`](Self::host_ns), ns. See [`ClockModel::sd_ns`].
-    pub fn clock_sd_ns(&self, time: DeviceTimeUs) -> Option<f64> {
-        self.model().map(|model| model.sd_ns(time))
-    }
-
     fn model(&self) -> Option<&ClockModel> {
         let model = || self.model.get_or_init(|| self.clock.model()).as_ref();
         self.ended.then(model)?

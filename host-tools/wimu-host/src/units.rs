@@ -179,15 +179,6 @@ impl Mark {
 }
 
 impl RawUnits {
-    /// The units defined by these epochs.
-    pub fn of_epochs<'a>(epochs: impl IntoIterator<Item = &'a Epoch>) -> Self {
-        let mut units = Self::default();
-        for epoch in epochs {
-            units.see(epoch);
-        }
-        units
-    }
-
     /// Takes an epoch.
     pub fn see(&mut self, epoch: &Epoch) {
         let Some(unit) = RawUnit::of(epoch) else {

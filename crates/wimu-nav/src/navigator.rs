@@ -198,6 +198,12 @@ impl Navigator {
         self.resting
     }
 
+    /// Whether the rest that goes on contradicts the velocity: it may be a slow motion.
+    pub fn doubts_rest(&self) -> bool {
+        let [_, failures] = self.rest_updates;
+        failures > 0 && !self.resting
+    }
+
     /// Times at which the filter diverged and began again, with an unknown position.
     pub fn divergences(&self) -> u32 {
         self.divergences
@@ -398,6 +404,8 @@ impl Navigator {
             self.since.accepted = 0.0;
             self.since.known = 0.0;
         } else if failed >= certain {
+            // A certain rest is no slow motion.
+            self.consistency.see(velocity.statistic, velocity.dof);
             recover(&mut self.filter, &zero, self.model.recovered());
             // A model that failed at an unknown time: the rest says nothing of the time before.
             self.filter.restart_log();

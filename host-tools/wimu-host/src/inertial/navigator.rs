@@ -223,6 +223,7 @@ impl Navigator {
 
     /// The next step, and the measurements up to its end.
     pub fn step(&mut self, step: &Step) -> PathPoint {
+        let recoveries = self.core.recoveries();
         self.carry(step);
         if let Some(deviation_mps) = step.stance_mps {
             self.core.stance(deviation_mps);
@@ -235,8 +236,14 @@ impl Navigator {
             self.take(&aid);
         }
         let found = self.core.take_consistency();
-        self.segments.see(step.time_s, &found, step.resting);
-        let lies = self.rest_s >= FIRST_REST_S || step.stance_mps.is_some();
+        if self.core.recoveries() > recoveries {
+            self.segments.recover(step.time_s, &found);
+        } else {
+            let rests = step.resting.then(|| !self.core.doubts_rest());
+            self.segments.see(step.time_s, &found, rests);
+        }
+        let rests = self.rest_s >= FIRST_REST_S && !self.core.doubts_rest();
+        let lies = rests || step.stance_mps.is_some();
         if !self.has_origin() && lies {
             self.core.set_origin();
             (self.origin, self.in_first_rest) = (Some(self.steps), true);

@@ -62,8 +62,10 @@ pub(super) struct Segments {
     fixes: Vec<f64>,
     from_s: f64,
     samples: usize,
-    /// Whether the position was measured since the segment began.
+    /// Whether the position was measured since the segment began, or its covariance enlarged.
     is_located: bool,
+    /// Whether the path did not agree with the last rest.
+    is_doubted: bool,
 }
 
 impl Segments {
@@ -77,6 +79,7 @@ impl Segments {
             from_s: time_s,
             samples: 0,
             is_located: false,
+            is_doubted: false,
         }
     }
 
@@ -92,15 +95,27 @@ impl Segments {
         self.is_located = true;
     }
 
-    /// The next sample with its innovations of rests and stances, and whether the unit rests there.
-    pub fn see(&mut self, time_s: f64, found: &Consistency, rests: bool) {
-        let is_tested = self.open.checks() + self.fixes.len() > 0 && found.checks() == 0 && !rests;
-        if is_tested && time_s - self.from_s >= SEGMENT_S {
+    /// The next sample with its innovations of rests and stances, and, in a rest, whether the path agrees with it. A rest that
+    /// it does not agree with tests it no better than a slow motion, and does not end a segment.
+    pub fn see(&mut self, time_s: f64, found: &Consistency, rests: Option<bool>) {
+        self.is_doubted = rests.map_or(self.is_doubted, |agrees| !agrees);
+        let is_tested = self.open.checks() + self.fixes.len() > 0 && found.checks() == 0;
+        let ends = is_tested && rests.is_none() && !self.is_doubted;
+        if ends && time_s - self.from_s >= SEGMENT_S {
             self.end(time_s);
         }
         self.samples += 1;
         self.open.merge(found);
         self.all.merge(found);
+    }
+
+    /// The same of a sample from which on the covariance is enlarged, since a rest contradicted the motion before.
+    pub fn recover(&mut self, time_s: f64, found: &Consistency) {
+        self.open.merge(found);
+        self.all.merge(found);
+        self.end(time_s);
+        (self.is_located, self.is_doubted) = (true, false);
+        self.samples += 1;
     }
 
     fn end(&mut self, time_s: f64) {

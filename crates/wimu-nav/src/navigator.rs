@@ -120,7 +120,8 @@ impl Navigator {
             magnetometer,
             vehicle,
             reference_ut: start.field_ut,
-            since: Since::default(),
+            // The velocity of a start in motion is not known.
+            since: Since { known: if start.rest { 0.0 } else { f64::INFINITY }, ..Since::default() },
             resting: false,
             rest_updates: [0; 2],
             consistency: Consistency::new(),
@@ -540,6 +541,7 @@ impl Navigator {
         self.filter.set_covariance(POSITION, &Matrix3::from_diagonal_element(position));
         self.filter.set_covariance(VELOCITY, &Matrix3::from_diagonal_element(velocity));
         self.filter.set_covariance(HEADING, &Matrix1::new(heading));
+        self.since.known = 0.0;
         self.filter.restart_log();
     }
 

@@ -230,6 +230,8 @@ pub struct Aids {
 /// Standard deviation of a start whose position the first fix gives, m, and of one that `--start` gives, m.
 const START_M: f64 = 100.0;
 const GIVEN_M: f64 = 0.3;
+/// Fixes in succession that equal the one before them: with three or more coordinates of a moving unit, none by chance.
+const REPEATED: usize = 3;
 /// Least time between two fixes whose difference shows a velocity, s: at 0.5 m of noise, 1.4 m/s.
 const DIFFERENCE_S: f64 = 0.5;
 /// Acceleration between a fix and the start, m/s². Assumed: a car that brakes or turns in traffic.
@@ -306,7 +308,32 @@ impl Aids {
             return Err(table.empty("there is no fix", remedy));
         }
         all.aids.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        all.leave_out_repeated();
         Ok(all)
+    }
+
+    /// Leaves out fixes that a receiver repeats while it has no signal.
+    fn leave_out_repeated(&mut self) {
+        let fixes = |aid: &&Aid| *aid.kind == position::POSITION;
+        let mut runs: Vec<(Aid, Vec<f64>)> = Vec::new();
+        for fix in self.aids.iter().filter(fixes) {
+            match runs.last_mut().filter(|(first, _)| first.value == fix.value && first.is_level())
+            {
+                Some((_, repeated_s)) => repeated_s.push(fix.time_s),
+                None => runs.push((*fix, Vec::new())),
+            }
+        }
+        runs.retain(|(_, repeated_s)| repeated_s.len() >= REPEATED);
+        let repeated_s: Vec<f64> = runs.into_iter().flat_map(|(_, times_s)| times_s).collect();
+        let (Some(first), Some(last)) = (repeated_s.first(), repeated_s.last()) else { return };
+        let text = format!(
+            "{} equal to the one before, as of a receiver without signal: left out",
+            counted(repeated_s.len(), "fix")
+        );
+        self.findings.push(Code::Frozen.warning(text).between(*first, *last));
+        let is_repeated =
+            |aid: &Aid| *aid.kind == position::POSITION && repeated_s.contains(&aid.time_s);
+        self.aids.retain(|aid| !is_repeated(aid));
     }
 
     /// Adds those of another source.

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::hypotheses::{Chosen, LAST_SHIFT_S};
+use super::model::Model;
 use super::run::Run;
 use super::start::principal_axes;
 use super::{AnchorFound, Parameter, RangeRecording, Ranged};
@@ -165,4 +166,17 @@ pub(super) fn unobserved(found: &Ranged) -> Vec<Problem> {
     let bias = hidden("bias", " m", |anchor| anchor.bias_m);
     let scale = hidden("scale error", "", |anchor| anchor.scale);
     bias.into_iter().chain(scale).collect()
+}
+
+/// Biases that the other anchors do not have.
+pub(super) fn unlike(recording: &RangeRecording, run: &Run, model: &Model) -> Option<Problem> {
+    let one =
+        |(index, bias_m): (usize, f64)| format!("{} {bias_m:+.2} m", recording.anchors[index].id);
+    let named: Vec<String> = run.unlike_biases(model).map(one).collect();
+    let text = format!(
+        "bias of anchor {}: unlike that of the others, and the path may be wrong",
+        named.join(", ")
+    );
+    let remedy = "see that it stands where the file has it, in line of sight, and calibrate its antenna delay";
+    (!named.is_empty()).then(|| Code::Residuals.warning(text).remedy(remedy))
 }

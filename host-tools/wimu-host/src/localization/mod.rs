@@ -110,6 +110,11 @@ pub struct Parameter {
 }
 
 impl Parameter {
+    /// An estimate with its standard deviation, and that of its prior.
+    fn of(estimate: Option<[f64; 2]>, prior: f64) -> Option<Self> {
+        estimate.map(|[value, sigma]| Self { value, sigma, prior })
+    }
+
     /// Whether the data say more than the prior.
     pub fn is_observed(&self) -> bool {
         self.sigma < OBSERVED * self.prior
@@ -249,7 +254,9 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     }
     let corrected;
     let is_scaled = model.has_scale() && !prior.has_scale();
-    let contradicts = !fits(&model, run.delay()) || run.navigator.suspected().is_some();
+    let contradicts = !fits(&model, run.delay())
+        || run.navigator.suspected().is_some()
+        || run.unlike_biases(&model).next().is_some();
     if (is_scaled || contradicts) && choice.survey_m.is_none() {
         let shifted = Model { shift_s: model.shift_s, ..prior };
         if let Some((error, found, solution)) =
@@ -262,6 +269,7 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     noticed.extend(findings::after(recording, &run, &chosen));
+    noticed.extend(findings::unlike(recording, &run, &model));
     let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&ranged));
     path.findings = noticed;
@@ -346,10 +354,8 @@ fn presented(
         Motion::Odometry(_) => Method::Odometry,
         Motion::Inertial(..) => Method::RangesInertial,
     };
-    let parameter = |estimate: Option<[f64; 2]>, prior: f64| {
-        estimate.map(|[value, sigma]| Parameter { value, sigma, prior })
-    };
-    let [bias, scale] = model.common;
+    let scale = model.ranges.scale.hypot(model.common[1]);
+    let bias = model.ranges.bias_m.hypot(model.common[0]);
     let anchor = |(index, anchor): (usize, &AnchorPosition)| {
         let own = &run.anchors[index];
         let residuals = run.navigator.residuals.iter().filter(|r| r.source == index);
@@ -359,15 +365,15 @@ fn presented(
             id: anchor.id.clone(),
             ranges,
             blocked: blocked as f64 / ranges.max(1) as f64,
-            bias_m: parameter(own.bias_m, model.ranges.bias_m.hypot(bias)),
-            scale: parameter(own.scale, model.ranges.scale.hypot(scale)),
+            bias_m: Parameter::of(own.bias_m, bias),
+            scale: Parameter::of(own.scale, scale),
             position_m: own.position_m.into(),
             position_sd_m: own.position_sd_m.map(Into::into),
         }
     };
     let anchors = recording.anchors.iter().enumerate().map(anchor).collect();
-    let odometer_scale = parameter(run.navigator.wheel_scale(), model.odometry.scale);
-    let delay_s = parameter(run.delay_s, DELAY_S);
+    let odometer_scale = Parameter::of(run.navigator.wheel_scale(), model.odometry.scale);
+    let delay_s = Parameter::of(run.delay_s, DELAY_S);
     let free = matches!(problem.motion, Motion::Free);
     let mut path = InertialPath::new(method, run.points, 0, choice.limit_m);
     for point in &mut path.points {

@@ -121,7 +121,10 @@ impl Navigator {
             vehicle,
             reference_ut: start.field_ut,
             // The velocity of a start in motion is not known.
-            since: Since { known: if start.rest { 0.0 } else { f64::INFINITY }, ..Since::default() },
+            since: Since {
+                known: if start.rest { 0.0 } else { f64::INFINITY },
+                ..Since::default()
+            },
             resting: false,
             rest_updates: [0; 2],
             consistency: Consistency::new(),

@@ -327,7 +327,7 @@ impl Navigator {
         self.log_likelihood += found.log_likelihood;
         if is_position {
             self.last_position_s = Some(aid.time_s);
-            self.segments.see_fix(&found.innovation);
+            self.segments.see_fix(&found.innovation, aid.sd);
             self.in_succession = if accepted { 0 } else { self.in_succession + 1 };
             if accepted {
                 self.fixed_s = aid.time_s;
@@ -368,11 +368,11 @@ impl Navigator {
     }
 
     /// Ends the path: smooths its points and moves, and applies the variance factors.
-    pub fn finish(&mut self, moves: &mut [Move]) -> (Vec<PathPoint>, Option<Problem>) {
+    pub fn finish(&mut self, moves: &mut [Move]) -> (Vec<PathPoint>, Vec<Problem>) {
         self.outside += self.pending.len();
         self.pending.clear();
         let Some(Recorded { mut points, mut tape }) = self.recorded.take() else {
-            return (Vec::new(), None);
+            return (Vec::new(), Vec::new());
         };
         tape.finish(&mut self.core, &mut points);
         self.contradictions = tape.contradictions;
@@ -382,8 +382,8 @@ impl Navigator {
             point.valid &= !is_wrong(point.time_s);
         }
         super::moves::smoothed_moves(moves, &points, &tape);
-        let contradicted = self.segments.clone().finish(&mut points, moves);
-        (points, contradicted)
+        let findings = self.segments.clone().finish(&mut points, moves);
+        (points, findings)
     }
 
     /// Whether aids contradicted the path, which jumped to them, or later samples what was before.
@@ -430,9 +430,6 @@ impl Navigator {
         found.extend(self.jumps());
         found.extend(self.magnet());
         found.extend(vehicle::findings(&self.core));
-        let contradicted = "contradicted the estimated velocity: σ was enlarged there";
-        let recoveries = [(self.core.recoveries() as usize, contradicted)];
-        found.extend(counted_findings(Code::Navigation, "rest", &recoveries));
         let diverged =
             "the filter diverged and began again. Check axes, signs and units of the sensors";
         let times = [

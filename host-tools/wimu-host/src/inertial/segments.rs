@@ -39,6 +39,37 @@ fn quartile_chi_square(dof: usize) -> f64 {
     dof as f64 * (1.0 - spread + UPPER_QUARTILE * spread.sqrt()).powi(3)
 }
 
+/// Fixes that were used, against their standard deviations.
+#[derive(Clone, Copy, Debug, Default)]
+struct Scatter {
+    /// Sums of the squared innovations over their covariance, and of their degrees of freedom.
+    statistic: f64,
+    dof: f64,
+    /// Sum of the variances as stated, m², and number of each.
+    stated_m2: [f64; 3],
+    counts: [f64; 3],
+}
+
+impl Scatter {
+    fn see(&mut self, innovation: &Innovation, sd_m: [f64; 3]) {
+        self.statistic += innovation.statistic;
+        self.dof += innovation.dof as f64;
+        for axis in (0..3).filter(|axis| sd_m[*axis].is_finite()) {
+            self.stated_m2[axis] += sd_m[axis] * sd_m[axis];
+            self.counts[axis] += 1.0;
+        }
+    }
+
+    /// Variances of an error that all fixes have in common, m²: what is stated beyond the scatter that they show. It does not
+    /// average out, as the filter assumes of theirs. Equation (175).
+    fn common_m2(&self) -> Option<[f64; 3]> {
+        let share = self.statistic / self.dof;
+        let is_shown = share < 1.0 - IMPROBABLE * (2.0 / self.dof).sqrt();
+        let stated_m2 = |axis: usize| self.stated_m2[axis] / self.counts[axis].max(1.0);
+        is_shown.then(|| [0, 1, 2].map(|axis| (1.0 - share) * stated_m2(axis)))
+    }
+}
+
 /// Samples up to the rest or the stance that tests them.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
@@ -60,6 +91,7 @@ pub(super) struct Segments {
     all: Consistency,
     /// Squared innovations of fixes over the upper quartile of their distribution.
     fixes: Vec<f64>,
+    scatter: Scatter,
     from_s: f64,
     samples: usize,
     /// Whether the position was measured since the segment began, or its covariance enlarged.
@@ -76,6 +108,7 @@ impl Segments {
             open: Consistency::new(),
             all: Consistency::new(),
             fixes: Vec::new(),
+            scatter: Scatter::default(),
             from_s: time_s,
             samples: 0,
             is_located: false,
@@ -83,8 +116,11 @@ impl Segments {
         }
     }
 
-    /// An innovation of a fix, used or not.
-    pub fn see_fix(&mut self, innovation: &Innovation) {
+    /// An innovation of a fix with these standard deviations, m, used or not.
+    pub fn see_fix(&mut self, innovation: &Innovation, sd_m: [f64; 3]) {
+        if innovation.accepted {
+            self.scatter.see(innovation, sd_m);
+        }
         if innovation.statistic.is_finite() {
             self.fixes.push(innovation.statistic / quartile_chi_square(innovation.dof));
         }
@@ -109,12 +145,14 @@ impl Segments {
         self.all.merge(found);
     }
 
-    /// The same of a sample from which on the covariance is enlarged, since a rest contradicted the motion before.
+    /// The same of a sample from which on the covariance is enlarged, since a rest contradicted the motion before. Where that is
+    /// lost, so is what follows, until the position is measured.
     pub fn recover(&mut self, time_s: f64, found: &Consistency) {
         self.open.merge(found);
         self.all.merge(found);
+        let is_lost = self.factor() > LOST;
         self.end(time_s);
-        (self.is_located, self.is_doubted) = (true, false);
+        (self.is_located, self.is_doubted) = (!is_lost, false);
         self.samples += 1;
     }
 
@@ -139,14 +177,16 @@ impl Segments {
         factor.max(before.map_or(1.0, |segment| segment.factor))
     }
 
-    /// Applies the factor of the newest point to it.
+    /// Applies the factor of the newest point to it, and the common error of the fixes.
     pub fn scale(&self, point: &mut PathPoint) {
         scale(point, self.factor());
+        add(point, self.scatter.common_m2().unwrap_or_default());
     }
 
-    /// Ends the path: applies the factors to its points and moves. Returns what contradicted it.
-    pub fn finish(mut self, points: &mut [PathPoint], moves: &mut [Move]) -> Option<Problem> {
-        let last = points.last()?;
+    /// Ends the path: applies the factors to its points and moves, and the common error of the fixes to the points. Returns what
+    /// is said of them.
+    pub fn finish(mut self, points: &mut [PathPoint], moves: &mut [Move]) -> Vec<Problem> {
+        let Some(last) = points.last() else { return Vec::new() };
         self.end(last.time_s);
         self.lose_before();
         let mut from = 0;
@@ -162,7 +202,11 @@ impl Segments {
             one.length_sd_m *= factor.sqrt();
             one.valid &= factor <= LOST;
         }
-        self.findings()
+        let common_m2 = self.scatter.common_m2();
+        for point in points {
+            add(point, common_m2.unwrap_or_default());
+        }
+        self.findings().into_iter().chain(common_m2.map(correlated)).collect()
     }
 
     /// A sensor that a segment proves to be faulty is so in those before which contradict it less.
@@ -197,6 +241,24 @@ impl Segments {
         let remedy = "check axes, signs, units and times of the sensors";
         Some(finding.between(first.from_s, until_s).remedy(remedy))
     }
+}
+
+/// What is said of a common error of the fixes with these variances, m².
+fn correlated(common_m2: [f64; 3]) -> Problem {
+    let sd_m = significant(common_m2.iter().sum::<f64>().sqrt(), 2);
+    let text = format!(
+        "the fixes scatter less than their standard deviations say: an error of ± {sd_m} m that they have in common is allowed for"
+    );
+    let remedy = "if they have no such error, give the smaller standard deviations";
+    Code::Residuals.note(text).remedy(remedy)
+}
+
+/// Adds the variances of an error of the position, m².
+fn add(point: &mut PathPoint, common_m2: [f64; 3]) {
+    for axis in 0..3 {
+        point.covariance_m2[axis][axis] += common_m2[axis];
+    }
+    point.filtered_sd_m = point.filtered_sd_m.hypot(common_m2.iter().sum::<f64>().sqrt());
 }
 
 fn scale(point: &mut PathPoint, factor: f64) {

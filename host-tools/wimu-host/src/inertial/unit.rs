@@ -127,14 +127,14 @@ impl<'a> Unit<'a> {
             return self
                 .path_without_field(choice, f64::from(rejected) / f64::from(used + rejected));
         }
-        let (mut points, contradicted) = navigator.finish(&mut moves);
+        let (mut points, said) = navigator.finish(&mut moves);
         let from = navigator.origin.unwrap_or(0);
         for (k, point) in points.iter_mut().enumerate() {
             point.valid &= point.sd_m() <= choice.limit_m && (has_origin || k >= from);
         }
         let mut findings = choice.aids.findings.clone();
         findings.extend(navigator.findings());
-        findings.extend(contradicted);
+        findings.extend(said);
         if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
             let text = format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",

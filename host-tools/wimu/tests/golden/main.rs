@@ -346,18 +346,23 @@ fn walks() -> &'static str {
     })
 }
 
-/// Rows of columns 0 to 6 of a walk with a fault of the gyroscope, columns 4 to 6.
+/// Rows of columns 0 to 6 of a walk with a fault, of the gyroscope in columns 4 to 6.
 type Fault = fn(rows: &mut [Vec<f64>]);
 
-/// Writes copies of `walk.csv` with faults of the gyroscope.
+/// Writes copies of `walk.csv` with faults.
 fn write_faulty(folder: &Path) {
-    const FAULTS: [(&str, Fault); 4] = [
+    const FAULTS: [(&str, Fault); 5] = [
         ("dead", |rows| rows.iter_mut().for_each(|row| row[4..].fill(0.0))),
         ("swapped", |rows| rows.iter_mut().for_each(|row| row.swap(4, 5))),
         ("negated", |rows| rows.iter_mut().for_each(|row| row[6] = -row[6])),
         ("late", |rows| {
             for k in (5..rows.len()).rev() {
                 rows[k] = [&rows[k][..4], &rows[k - 5][4..]].concat();
+            }
+        }),
+        ("lost", |rows| {
+            for k in 3500..rows.len() - 50 {
+                rows[k] = [&rows[k][..1], &rows[k + 50][1..]].concat();
             }
         }),
     ];

@@ -12,6 +12,9 @@ pub(crate) fn quantile(values: impl IntoIterator<Item = f64>, parts: usize) -> O
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
 
+/// Quantile of the standard normal distribution at 1 − 10⁻⁴: what is beyond it is no chance.
+pub(crate) const IMPROBABLE: f64 = 3.719;
+
 /// Length of a vector.
 pub(crate) fn norm(vector: impl AsRef<[f64]>) -> f64 {
     let squares = vector.as_ref().iter().map(|axis| axis * axis);

@@ -4,12 +4,11 @@ use nalgebra::Vector3;
 use wimu_nav::navigator::{Profile, Sample};
 
 use super::aids::Aids;
-use super::segments::IMPROBABLE;
 use super::unit::{Unit, run};
 use super::{Choice, Method};
 use crate::lag::likeliest;
 use crate::series::{Interp, Ns, Series};
-use crate::stats::median;
+use crate::stats::{IMPROBABLE, median};
 
 /// Step of the search, s, and its end: half the swing of a step.
 const STEP_S: f64 = 0.02;

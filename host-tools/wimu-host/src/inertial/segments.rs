@@ -5,7 +5,7 @@ use wimu_nav::filter::Innovation;
 
 use super::{Move, PathPoint};
 use crate::digits::significant;
-use crate::stats::quantile;
+use crate::stats::{IMPROBABLE, quantile};
 use crate::{Code, Problem, Severity};
 
 /// Shortest segment, s: ten steps of a foot.
@@ -13,9 +13,8 @@ const SEGMENT_S: f64 = 10.0;
 /// Variance factor beyond which a path is lost: σ is ten times too small, and the cause is no noise.
 const LOST: f64 = 100.0;
 
-/// Upper quartile of the standard normal distribution, and its quantile at 1 − 10⁻⁴.
+/// Upper quartile of the standard normal distribution.
 const UPPER_QUARTILE: f64 = 0.6745;
-pub(super) const IMPROBABLE: f64 = 3.719;
 
 /// Variance factor of innovations up to a quarter of which are outliers: their upper quartile, if a sign test shows that
 /// it is above that of the distribution.

@@ -10,7 +10,7 @@ use super::{Increment, Ranging};
 use crate::inertial::aids::{Aid, Mounting};
 use crate::inertial::{Carrier, Navigator, PathPoint, StartPose, Step, run};
 use crate::series::Ns;
-use crate::stats::median;
+use crate::stats::{IMPROBABLE, median};
 
 /// What carries the unit from one range to the next.
 #[derive(Clone, Copy, Debug)]
@@ -48,10 +48,6 @@ pub(super) const START_M: f64 = 0.1;
 /// Standard deviation of the velocity at the start, m/s: walking speed.
 pub(super) const SPEED_MPS: f64 = 1.0;
 
-/// Standard deviations beyond which the bias of an anchor contradicts those of the others: the quantile of the normal
-/// distribution at 1 − 10⁻⁴.
-const IMPROBABLE: f64 = 3.719;
-
 /// A run over a recording: its points and the navigator at its end.
 pub(super) struct Run {
     pub points: Vec<PathPoint>,
@@ -62,7 +58,8 @@ pub(super) struct Run {
 }
 
 impl Run {
-    /// Anchors, by their index, whose bias, m, is farther from that of the others than their own biases are beforehand.
+    /// Anchors, by their index, whose bias, m, is farther from the median than own biases are beforehand; none of fewer than
+    /// three, of which either may be wrong.
     pub fn unlike_biases(&self, model: &Model) -> impl Iterator<Item = (usize, f64)> {
         let biases = self.anchors.iter().map(|anchor| anchor.bias_m).enumerate();
         let known = biases.filter_map(|(index, bias)| Some((index, bias?)));
@@ -72,7 +69,9 @@ impl Run {
         let is_unlike = move |(_, [bias_m, sd_m]): &(usize, Estimate)| {
             (bias_m - middle_m).abs() > IMPROBABLE * own_m.hypot(*sd_m)
         };
-        known.into_iter().filter(is_unlike).map(|(index, [bias_m, _])| (index, bias_m))
+        let is_known = known.len() > 2;
+        let found = known.into_iter().filter(move |own| is_known && is_unlike(own));
+        found.map(|(index, [bias_m, _])| (index, bias_m))
     }
 
     /// The delay, s, or zero where it is not estimated.

@@ -1,9 +1,11 @@
 //! Measurements by other systems: one file a kind, and one line in [`KINDS`].
 //!
 //! A [`Kind`] names its columns, their unit, its usual σ, the states that it adds to the filter, and how a value updates the
-//! navigator. Reading, order of time, lever arm, σ of the time, tests, counts, residuals, findings, JSON and report are common
-//! to all kinds: a new one is a file as [`barometer`] with its `mod`, and a line in [`KINDS`], and the command reads it with
-//! `--fixes`.
+//! navigator. Reading, order of time, tests, counts, residuals, findings, JSON and report are common to all kinds; lever arm and
+//! σ of the time are those of positions and ranges. A new kind is a file as [`barometer`] with its `mod`, a line in [`KINDS`], and
+//! a row in docs/how-to/position.md; the command reads it with `--fixes`. Its update takes a measurement of
+//! [`wimu_nav::sensor`], or one of its own by blocks of [`wimu_nav::state`], east-north-up, whose derivatives a test checks as
+//! those of `wimu-nav/tests/jacobians.rs`.
 
 pub mod barometer;
 pub mod heading;
@@ -330,7 +332,8 @@ impl Aids {
             "{} equal to the one before, as of a receiver without signal: left out",
             counted(repeated_s.len(), "fix")
         );
-        self.findings.push(Code::Frozen.warning(text).between(*first, *last));
+        let remedy = "give each fix of the receiver once";
+        self.findings.push(Code::Frozen.warning(text).between(*first, *last).remedy(remedy));
         let is_repeated =
             |aid: &Aid| *aid.kind == position::POSITION && repeated_s.contains(&aid.time_s);
         self.aids.retain(|aid| !is_repeated(aid));

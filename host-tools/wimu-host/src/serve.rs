@@ -7,7 +7,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
@@ -16,7 +16,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::upgrade::Upgraded;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Notify;
 use tokio::time::{sleep, timeout};
@@ -38,7 +38,12 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const MOST_HEAD: usize = 8192;
 /// Connections of strangers; one more closes the oldest of them. Half of the usual limit of open files.
 const MOST_STRANGERS: usize = 512;
-/// Pause after a failed accept: out of file descriptors, others may end.
+/// Connections that wait to be accepted, after which the operating system drops them: twice the places of strangers.
+const MOST_WAITING: u32 = 1024;
+/// Shortest time for which a stranger has a place, in which its request must come: TCP's first timeout of a lost packet, RFC
+/// 6298. A burst of connections waits for it, since it would otherwise close what was opened just before.
+const KEPT: Duration = Duration::from_secs(1);
+/// Pause after a failed accept, out of file descriptors, and without a place: others may end.
 const RETRY: Duration = Duration::from_millis(10);
 
 /// Takes a request by its head, whose body is never read.
@@ -64,13 +69,16 @@ impl Server {
         };
         let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
         let runtime = runtime.map_err(failed)?;
-        let listener = runtime.block_on(TcpListener::bind(address)).map_err(failed)?;
+        let listener = runtime.block_on(async { listen(address) }).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let (answer, strangers) = (Arc::new(answer), Arc::default());
         runtime.spawn(async move {
             loop {
                 match listener.accept().await {
                     Ok((stream, _)) => {
+                        while is_full(&strangers) {
+                            sleep(RETRY).await;
+                        }
                         let place = Arc::new(Place::take(address, &strangers));
                         tokio::spawn(serve(stream, place, answer.clone()));
                     }
@@ -85,6 +93,15 @@ impl Server {
     pub fn address(&self) -> SocketAddr {
         self.address
     }
+}
+
+fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    // Windows gives the address of a running server away with it.
+    #[cfg(unix)]
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(MOST_WAITING)
 }
 
 /// Answers one request: no connection is kept for a second one.
@@ -125,7 +142,19 @@ pub fn upgraded(request: Request) -> impl Future<Output = Option<TokioIo<Upgrade
 }
 
 /// Connections that have not proved to be the owner's, by age.
-type Strangers = Mutex<BTreeMap<u64, Arc<Notify>>>;
+type Strangers = Mutex<BTreeMap<u64, Stranger>>;
+
+struct Stranger {
+    since: Instant,
+    lost: Arc<Notify>,
+}
+
+/// Whether every place is taken, and for less than [`KEPT`].
+fn is_full(strangers: &Strangers) -> bool {
+    let all = lock(strangers);
+    let oldest = all.first_key_value();
+    all.len() >= MOST_STRANGERS && oldest.is_some_and(|(_, oldest)| oldest.since.elapsed() < KEPT)
+}
 
 /// Place of a connection.
 pub struct Place {
@@ -141,11 +170,11 @@ impl Place {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let (number, lost) = (NEXT.fetch_add(1, Ordering::Relaxed), Arc::new(Notify::new()));
         let mut all = lock(strangers);
-        all.insert(number, lost.clone());
+        all.insert(number, Stranger { since: Instant::now(), lost: lost.clone() });
         if all.len() > MOST_STRANGERS
             && let Some((_, oldest)) = all.pop_first()
         {
-            oldest.notify_one();
+            oldest.lost.notify_one();
         }
         Self { server, number, strangers: strangers.clone(), lost }
     }

@@ -5,6 +5,7 @@
 //! rows of the other tracks are left out where they are empty.
 
 mod folder;
+mod geodetic;
 mod header;
 mod json;
 mod layout;
@@ -24,6 +25,7 @@ use std::path::Path;
 
 use wimu_model::STANDARD_GRAVITY_MPS2 as G;
 
+pub(crate) use geodetic::TangentPlane;
 use header::Table;
 pub(super) use layout::si_of;
 use layout::{Group, Layout};

@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use super::aids::{Aid, Aids, Mounting};
-use crate::formats::table::Measurements;
+use crate::formats::table::{Measurements, TangentPlane};
 use crate::localization::Ranging;
 use crate::plural::counted;
 use crate::transport::{self, Transport};
@@ -55,6 +55,8 @@ pub struct AidLink {
     mounting: Mounting,
     /// The anchors, of ranges.
     ranging: Option<Ranging>,
+    /// Where positions by latitude and longitude are measured from.
+    plane: Option<TangentPlane>,
     unreadable: usize,
     finding: Option<Problem>,
 }
@@ -84,6 +86,7 @@ impl AidLink {
             clock: LeastDelay::default(),
             mounting,
             ranging,
+            plane: None,
             unreadable: 0,
             finding: None,
         })
@@ -133,8 +136,13 @@ impl AidLink {
         self.ranging.as_ref().map_or("fixes", |_| "ranges")
     }
 
-    fn aids(&self, text: &str, arrived_s: f64) -> Result<Vec<Aid>> {
-        let table = Measurements::of(&self.name, text)?;
+    fn aids(&mut self, text: &str, arrived_s: f64) -> Result<Vec<Aid>> {
+        let mut table = Measurements::of(&self.name, text)?;
+        let is_first = self.plane.is_none();
+        table.to_tangent_plane(&mut self.plane)?;
+        if let Some(plane) = self.plane.as_ref().filter(|_| is_first) {
+            self.finding = Some(plane.note());
+        }
         let mounting = Mounting { delay_s: 0.0, ..self.mounting };
         match &self.ranging {
             None => Ok(Aids::of(&table, Some(arrived_s), &mounting)?.aids),

@@ -254,12 +254,17 @@ impl Aids {
         is_position.then_some([e, n, if fix.sd[2].is_finite() { u } else { 0.0 }])
     }
 
-    /// Reads a table: `Time (s)`, and columns of any kinds with their σ. Values may be missing.
+    /// Reads a table: `Time (s)`, and columns of any kinds with their σ. Values may be missing. Positions may be by latitude,
+    /// longitude and altitude.
     ///
     /// # Errors
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a measurement.
     pub fn read(path: &Path, mounting: &Mounting) -> Result<Self> {
-        Self::of(&Measurements::read(path)?, None, mounting)
+        let (mut table, mut plane) = (Measurements::read(path)?, None);
+        table.to_tangent_plane(&mut plane)?;
+        let mut all = Self::of(&table, None, mounting)?;
+        all.findings.extend(plane.map(|plane| plane.note()));
+        Ok(all)
     }
 
     /// Those of a table. `arrived_s`: the time of rows of a table without times.

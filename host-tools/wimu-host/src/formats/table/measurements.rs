@@ -29,7 +29,7 @@ struct Row {
 
 /// A column and the size of its unit.
 #[derive(Clone, Copy)]
-pub(crate) struct Column(usize, f64);
+pub(crate) struct Column(pub(super) usize, f64);
 
 impl Column {
     /// A column, from 0, of numbers in SI units.
@@ -151,11 +151,27 @@ impl Measurements {
         let text = self.text(row, column.0);
         let value = field(text, self.comma).ok_or_else(|| {
             let message = format!("`{text}` is not a number");
-            let (line, column) = (self.rows[row].line, &self.header[column.0]);
-            let place = format!("{} line {line}, {column}", self.name);
-            Code::CsvBadNumber.error(message, "correct the field, or leave it empty").at(place)
+            let remedy = "correct the field, or leave it empty";
+            Code::CsvBadNumber.error(message, remedy).at(self.place(row, column))
         })?;
         Ok(Some(value * column.1).filter(|value| value.is_finite()))
+    }
+
+    /// Where the field of a row is.
+    pub fn place(&self, row: usize, column: Column) -> String {
+        format!("{} line {}, {}", self.name, self.rows[row].line, self.header[column.0])
+    }
+
+    /// Puts a value in SI units in the place of a field; none makes it empty.
+    pub fn set(&mut self, row: usize, column: Column, value: Option<f64>) {
+        if let Some(field) = self.rows[row].fields.get_mut(column.0) {
+            *field = value.map_or_else(String::new, |value| format!("{value}"));
+        }
+    }
+
+    /// Renames a column.
+    pub fn rename(&mut self, column: Column, name: &str) {
+        name.clone_into(&mut self.header[column.0]);
     }
 
     /// Text of a field.

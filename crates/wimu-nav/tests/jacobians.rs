@@ -287,7 +287,8 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
         let (block, deviation) = (acceleration, 0.1);
         assert_jacobian::<2>(&start, &all, &VerticalRate { block, deviation });
         for offset in [None, Some(offset)] {
-            let velocity = Velocity { velocity_mps: vector(1.0), deviation_mps: 0.1, offset };
+            let (velocity_mps, turning_mps) = (vector(1.0), vector(0.5));
+            let velocity = Velocity { velocity_mps, deviation_mps: 0.1, turning_mps, offset };
             assert_jacobian::<3>(&start, &all, &velocity);
         }
     }

@@ -7,13 +7,15 @@ use super::{Measurement, Prediction};
 use crate::filter::{Filter, Gate};
 use crate::state::{ATTITUDE, Block, POSITION, State, VELOCITY};
 
-/// Velocity of the unit, navigation frame.
+/// Velocity of the unit or of a point of it, navigation frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Velocity {
     /// m/s.
     pub velocity_mps: Vector3<f64>,
     /// Standard deviation of a component, m/s.
     pub deviation_mps: f64,
+    /// Velocity of the point relative to the unit, ω × r, m/s, body frame.
+    pub turning_mps: Vector3<f64>,
     /// A velocity that is added to it, m/s: of a platform, or one that a rest does not show.
     pub offset: Option<Block<3>>,
 }
@@ -21,7 +23,8 @@ pub struct Velocity {
 impl Velocity {
     /// Zero with a standard deviation of a component, m/s.
     pub fn zero(deviation_mps: f64, offset: Option<Block<3>>) -> Self {
-        Self { velocity_mps: Vector3::zeros(), deviation_mps, offset }
+        let zero = Vector3::zeros();
+        Self { velocity_mps: zero, deviation_mps, turning_mps: zero, offset }
     }
 }
 
@@ -30,8 +33,11 @@ impl Measurement for Velocity {
         let state = &filter.state;
         let offset = self.offset.map_or_else(Vector3::zeros, |block| state.get(block));
         let noise = Matrix3::from_diagonal_element(self.deviation_mps * self.deviation_mps);
-        Prediction::new(self.velocity_mps + offset - state.get(VELOCITY), noise)
+        let turning = state.attitude * self.turning_mps;
+        let shown = state.get(VELOCITY) + turning;
+        Prediction::new(self.velocity_mps + offset - shown, noise)
             .by(VELOCITY, Matrix3::identity())
+            .by(ATTITUDE, -turning.cross_matrix())
             .by_some(self.offset, -Matrix3::identity())
     }
 }

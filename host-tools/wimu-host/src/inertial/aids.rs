@@ -2,7 +2,7 @@
 //!
 //! A [`Kind`] names its columns, their unit, its usual σ, the states that it adds to the filter, and how a value updates the
 //! navigator. Reading, order of time, tests, counts, residuals, findings, JSON and report are common to all kinds; lever arm and
-//! σ of the time are those of positions and ranges. A new kind is a file as [`barometer`] with its `mod`, a line in [`KINDS`], and
+//! σ of the time are those of positions, velocities and ranges. A new kind is a file as [`barometer`] with its `mod`, a line in [`KINDS`], and
 //! a row in docs/how-to/position.md; the command reads it with `--fixes`. Its update takes a measurement of
 //! [`wimu_nav::sensor`], or one of its own by blocks of [`wimu_nav::state`], east-north-up, whose derivatives a test checks as
 //! those of `wimu-nav/tests/jacobians.rs`.

@@ -1,11 +1,12 @@
 //! Velocity by another system.
 
+use nalgebra::Vector3;
 use wimu_nav::sensor::Velocity;
 
 use super::Kind;
 use crate::formats::table::SPEED;
 
-/// Velocity. Usual σ: the Doppler shift of GNSS.
+/// Velocity of an antenna. Usual σ: the Doppler shift of GNSS.
 pub static VELOCITY: Kind = Kind {
     name: "velocity",
     one: "velocity fix",
@@ -20,7 +21,9 @@ pub static VELOCITY: Kind = Kind {
             return None;
         }
         let deviation_mps = aid.sd.into_iter().fold(0.0, f64::max);
-        to.with(Velocity { velocity_mps: aid.value.into(), deviation_mps, offset: None })
+        let turning_mps = to.navigator.angular_rate().cross(&Vector3::from(aid.lever_arm_m));
+        let velocity_mps = aid.value.into();
+        to.with(Velocity { velocity_mps, deviation_mps, turning_mps, offset: None })
     },
     ..Kind::DEFAULT
 };

@@ -281,9 +281,11 @@ impl Navigator {
         Ok(())
     }
 
-    /// Stance of a foot at the last sample, which is never tested: the velocity is 0 ± `deviation_mps` m/s, a component.
+    /// Stance of a foot at the last sample, which is never tested: the velocity is 0 ± `deviation_mps` m/s, a component, but for
+    /// one that rests do not show.
     pub fn stance(&mut self, deviation_mps: f64) {
-        let innovation = self.update(&Velocity::zero(deviation_mps, None), Gate::Open);
+        let zero = Velocity::zero(deviation_mps, self.model.hidden_velocity());
+        let innovation = self.update(&zero, Gate::Open);
         let begins = self.since.stance >= SWING_S;
         if begins || self.since.test >= LONG_STANCE_S {
             self.consistency.see(innovation.statistic, innovation.dof);

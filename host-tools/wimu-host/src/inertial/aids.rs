@@ -193,15 +193,15 @@ pub struct Outcome {
     pub has_jumped: bool,
 }
 
-/// Logarithm of the density of a measurement that contradicts the path, in 1/m³ of a fix: it is anywhere within 100 m.
-const OUTLIER: f64 = -13.8;
+/// Logarithm of the density of a measurement that contradicts the path, a component, in 1/m of a fix: it is anywhere within 100 m.
+const OUTLIER: f64 = -4.6;
 
 impl From<Innovation> for Outcome {
     fn from(innovation: Innovation) -> Self {
         Self {
             innovation,
             weight: f64::from(u8::from(innovation.accepted)),
-            log_likelihood: innovation.log_likelihood.max(OUTLIER),
+            log_likelihood: innovation.log_likelihood.max(OUTLIER * innovation.dof as f64),
             has_jumped: false,
         }
     }

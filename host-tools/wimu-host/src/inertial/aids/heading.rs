@@ -12,6 +12,7 @@ pub static HEADING: Kind = Kind {
     columns: &[&["Heading"]],
     unit: ANGLE,
     usual_sd: Some(0.1),
+    remedy: "headings are of the body x axis, from east towards north: of a compass, clockwise from north, give 90° minus it",
     update: |aid, to| to.with(Heading { heading_rad: aid.value[0], deviation_rad: aid.sd[0] }),
     ..Kind::DEFAULT
 };

@@ -443,7 +443,10 @@ impl Navigator {
         if self.outside > 0 {
             let text =
                 format!("{} outside the time of the recording", counted(self.outside, "fix"));
-            found.push(Code::Clock.note(text));
+            let remedy = "check the unit of their times, and the clock";
+            let most = self.outside > self.residuals.len();
+            let problem = if most { Code::Clock.warning(text) } else { Code::Clock.note(text) };
+            found.push(problem.remedy(remedy));
         }
         found
     }

@@ -155,7 +155,9 @@ impl<'a> Unit<'a> {
             _ => {}
         }
         let mut path = InertialPath::new(method, points, from, choice.limit_m);
-        if !has_origin && path.points[from..].iter().all(|point| point.resting) {
+        let rests_only = path.points[from..].iter().all(|point| point.resting);
+        let is_short = self.within(FIRST_REST_S) == self.samples.len();
+        if !has_origin && (is_short || rests_only) {
             return Err(self.moves_before(&path, from));
         }
         path.moves = moves;

@@ -151,11 +151,15 @@ impl Aid {
     pub(super) fn is_level(&self) -> bool {
         *self.kind == position::POSITION && self.sd[..2].iter().all(|sd| sd.is_finite())
     }
+}
 
-    /// Position, m, and its standard deviation at a start.
-    pub(super) fn position(&self) -> (Vector3<f64>, f64) {
-        (self.value.into(), START_M)
-    }
+/// Where a path begins in the frame of aids.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// East, north and up, m.
+    pub position_m: Vector3<f64>,
+    /// Standard deviation of a horizontal component, and of the height, m.
+    pub sd_m: [f64; 2],
 }
 
 /// What a kind updates.
@@ -379,15 +383,11 @@ impl Aids {
         Err(other_clock([fixes, ("samples", [*from, *to])]))
     }
 
-    /// Positions at a time, s, in the frame of the fixes, m, with standard deviations: that of the first fix, or those that
-    /// ranges show; `given` instead of the latter. None as long as there are none.
-    pub(super) fn positions(
-        &self,
-        time_s: f64,
-        given: Option<&StartPose>,
-    ) -> Vec<(Vector3<f64>, f64)> {
+    /// Places at a time, s, in the frame of the fixes: that of the first fix, or those that ranges show; `given` instead of the
+    /// latter. None as long as there are none.
+    pub(super) fn places(&self, time_s: f64, given: Option<&StartPose>) -> Vec<Place> {
         if let Some(fix) = self.origin().filter(|fix| fix.time_s <= time_s) {
-            return vec![fix.position()];
+            return vec![self.place(fix)];
         }
         let Some(ranging) = &self.ranging else {
             return Vec::new();
@@ -395,12 +395,22 @@ impl Aids {
         let is_range = |aid: &&Aid| aid.time_s <= time_s && *aid.kind == range::RANGE;
         let ranges: Vec<Aid> = self.aids.iter().filter(is_range).copied().collect();
         match (given, ranges.first()) {
-            (Some(pose), Some(_)) => vec![(pose.position_m.into(), GIVEN_M)],
+            (Some(pose), Some(_)) => {
+                vec![Place { position_m: pose.position_m.into(), sd_m: [GIVEN_M; 2] }]
+            }
             (None, Some(first)) if first.time_s <= time_s - FIRST_RANGES_S => {
-                ranging.positions(&ranges)
+                let found = ranging.positions(&ranges).into_iter();
+                found.map(|(position_m, sd_m)| Place { position_m, sd_m: [sd_m; 2] }).collect()
             }
             _ => Vec::new(),
         }
+    }
+
+    /// The place of a fix. A height that no fix measures is that above the start.
+    pub(super) fn place(&self, fix: &Aid) -> Place {
+        let [east, north, _] = fix.value;
+        let [up, up_sd] = self.height().map_or([0.0; 2], |[height_m, _]| [height_m, START_M]);
+        Place { position_m: Vector3::new(east, north, up), sd_m: [START_M, up_sd] }
     }
 
     /// The first fix of the horizontal position: the path is in its frame.

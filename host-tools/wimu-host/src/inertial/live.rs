@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use wimu_nav::navigator::Profile;
 use wimu_nav::stance::AHEAD_S;
 use wimu_nav::state::{POSITION, VELOCITY};
 
-use super::aids::Aid;
+use super::aids::{Aid, Place};
 use super::navigator::{Carrier, Navigator, Step, counted_findings};
 use super::rests::detector;
 use super::sense::{Senses, clipped_samples};
@@ -345,8 +345,8 @@ impl Begun {
     fn advance(&mut self, steps: &[Step], choice: &Choice) {
         for step in steps {
             if !self.placed {
-                let positions = choice.aids.positions(step.time_s, choice.start.as_ref());
-                self.place(&positions, step.time_s, choice);
+                let places = choice.aids.places(step.time_s, choice.start.as_ref());
+                self.place(&places, step.time_s, choice);
             }
             for (index, path) in self.paths.iter_mut().enumerate() {
                 path.step(step);
@@ -361,16 +361,16 @@ impl Begun {
         }
     }
 
-    /// Moves the path at a time, s, to positions that fixes or ranges show, each at all headings.
-    fn place(&mut self, positions: &[(Vector3<f64>, f64)], time_s: f64, choice: &Choice) {
-        if positions.is_empty() {
+    /// Moves the path at a time, s, to places that fixes or ranges show, each at all headings.
+    fn place(&mut self, places: &[Place], time_s: f64, choice: &Choice) {
+        if places.is_empty() {
             return;
         }
         let turn = |k| f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
         let given = choice.start.and_then(|pose| pose.heading_rad);
         let headings: Vec<f64> =
             given.map_or_else(|| (0..HEADINGS).map(turn).collect(), |heading| vec![heading]);
-        let all = positions.iter().flat_map(|at| headings.iter().map(move |heading| (at, heading)));
+        let all = places.iter().flat_map(|at| headings.iter().map(move |heading| (at, heading)));
         let placed = all.map(|(at, heading)| {
             let mut path = self.paths[0].clone();
             path.place(*at, None, *heading);

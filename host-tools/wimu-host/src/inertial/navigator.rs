@@ -6,11 +6,11 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::{Matrix1, Matrix3, Vector3};
 use wimu_nav::navigator::{self, Sample, SampleFault};
 use wimu_nav::process::{ConstantVelocity, Odometry, OdometryBlocks, OdometryErrors, RandomWalk};
-use wimu_nav::state::{Block, HEADING, POSITION as PLACE, Role};
+use wimu_nav::state::{self, Block, HEADING, Role};
 
 use super::aids::position::POSITION;
 use super::aids::range::RANGE;
-use super::aids::{Aid, Kind, State, Update};
+use super::aids::{Aid, Kind, Place, State, Update};
 use super::path::StateFound;
 use super::segments::Segments;
 use super::smooth::Tape;
@@ -32,7 +32,7 @@ const LINE_OF_SIGHT: f64 = 0.5;
 const HEADING_SD: f64 = 0.3;
 
 /// Height of the unit.
-const UP: Block<1> = PLACE.part::<1, 2>();
+const UP: Block<1> = state::POSITION.part::<1, 2>();
 
 /// What carries a unit over a step.
 #[derive(Clone, Copy, Debug)]
@@ -162,11 +162,10 @@ impl Navigator {
         self.recorded = Some(Recorded { points: Vec::new(), tape });
     }
 
-    /// Moves to a position in the frame of fixes, m, with its standard deviation, at a heading, rad; with a velocity, m/s,
-    /// where it is known.
+    /// Moves to a place in the frame of fixes, at a heading, rad; with a velocity, m/s, where it is known.
     pub fn place(
         &mut self,
-        (position, position_sd): (Vector3<f64>, f64),
+        Place { position_m, sd_m: [level_sd, up_sd] }: Place,
         velocity: Option<(Vector3<f64>, f64)>,
         heading: f64,
     ) {
@@ -175,8 +174,9 @@ impl Navigator {
         let (velocity, velocity_sd) =
             velocity.unwrap_or((solution.velocity_mps.into(), variance.sqrt()));
         self.core.set_heading(heading);
-        let deviations = [position_sd, velocity_sd, HEADING_SD];
-        self.core.set_pose(position, velocity, heading, deviations);
+        let deviations = [level_sd, velocity_sd, HEADING_SD];
+        self.core.set_pose(position_m, velocity, heading, deviations);
+        self.core.change(|filter| filter.set_covariance(UP, &Matrix1::new(up_sd * up_sd)));
         self.framed = true;
     }
 

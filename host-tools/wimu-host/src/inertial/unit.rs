@@ -224,7 +224,7 @@ impl<'a> Unit<'a> {
         let placed = |heading: f64, at_rest| {
             let mut navigator = begin(at_rest);
             match fix {
-                Some(fix) => navigator.place(fix.position(), velocity, heading),
+                Some(fix) => navigator.place(choice.aids.place(fix), velocity, heading),
                 None => navigator.frame(choice.aids.height(), heading),
             }
             navigator

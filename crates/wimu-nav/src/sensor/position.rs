@@ -38,7 +38,7 @@ impl Measurement for Position {
 
 impl Position {
     /// One on the diagonal for each component that is measured.
-    fn measured(&self) -> Matrix3<f64> {
+    pub fn measured(&self) -> Matrix3<f64> {
         Matrix3::from_diagonal(&self.deviation_m.map(|sd| f64::from(u8::from(sd.is_finite()))))
     }
 }

@@ -355,6 +355,21 @@ impl Aids {
         self.aids.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     }
 
+    /// The same with a lever arm of the fixes that is estimated; `None` where it is given, or there are no fixes.
+    pub(super) fn of_antenna(&self) -> Option<Self> {
+        let is_fix = |aid: &&mut Aid| *aid.kind == position::POSITION;
+        let mut all = self.clone();
+        let mut fixes = all.aids.iter_mut().filter(is_fix).peekable();
+        fixes.peek()?;
+        for fix in fixes {
+            if fix.lever_arm_m != [0.0; 3] {
+                return None;
+            }
+            fix.kind = &position::ANTENNA;
+        }
+        Some(all)
+    }
+
     /// The remedy of a path that is not known to `limit_m`, where the fixes are the cause.
     pub(super) fn remedy(&self, limit_m: f64) -> Option<String> {
         let fixes = self.aids.iter().filter(|aid| *aid.kind == position::POSITION);

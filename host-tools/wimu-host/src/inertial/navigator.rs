@@ -16,6 +16,7 @@ use super::segments::Segments;
 use super::smooth::Tape;
 use super::uses::{AidUse, Suspects};
 use super::{Move, PathPoint, Residual, vehicle};
+use crate::digits::significant;
 use crate::localization::{AnchorStates, Increment};
 use crate::plural::counted;
 use crate::{Code, Problem};
@@ -426,6 +427,27 @@ impl Navigator {
         for used in self.uses.values() {
             found.extend(used.finding());
         }
+    /// Whether fixes of the position were rejected, and nothing else explains them: a vehicle estimates its antenna.
+    pub fn rejects_fixes(&self) -> bool {
+        let rejected = self.uses.get(POSITION.name).is_some_and(|uses| uses.rejected > 0);
+        rejected && self.core.vehicle().is_none()
+    }
+
+    /// The lever arm of fixes that was estimated.
+    pub fn antenna(&self) -> Option<Problem> {
+        let arm = self.added.iter().find(|added| *added.kind == POSITION)?;
+        let [x, y, z] = <[_; 3]>::try_from(arm.blocks.clone()).ok()?.map(|b| self.estimate(b));
+        let arm = [x, y, z].map(|[value, _]| format!("{value:.2}"));
+        let sd_m = [x, y, z].into_iter().fold(0.0, |most: f64, [_, sd]| most.max(sd));
+        let text = format!(
+            "the fixes are of a point {} m from the unit, body axes, ± {} m: estimated, since they fit better so",
+            arm.join(" "),
+            significant(sd_m, 2)
+        );
+        let remedy = format!("measure it, and give it: --setup lever_arm_m=[{}]", arm.join(","));
+        Some(Code::Navigation.warning(text).remedy(remedy))
+    }
+
         found.extend(self.suspected());
         found.extend(self.jumps());
         found.extend(self.magnet());

@@ -53,6 +53,10 @@ impl OnceEachField {
     }
 }
 
+/// Logarithm of the ratio of two likelihoods above which fixes show their lever arm: half of the χ² quantile, 99.99 %, of three
+/// degrees of freedom.
+const SHOWN: f64 = 10.6;
+
 /// Scale factor and misalignment of an accelerometer that is not calibrated: MPU-9250 datasheet, initial tolerance and
 /// cross-axis sensitivity.
 const UNCALIBRATED: [f64; 2] = [0.03, 0.02];
@@ -116,12 +120,28 @@ impl<'a> Unit<'a> {
         }
         choice.aids.within(self.times_s).map_err(|error| error.at(self.name))?;
         let at_rest_first = self.first_rest(&rests).is_some();
-        let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
-        let has_origin = navigator.has_origin();
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
         let smooth = choice.smooth && method == Method::Strapdown;
-        navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
-        run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
+        let start = self.start(&rests, choice)?;
+        let run = |choice: &Choice| {
+            let mut navigator = self.placed(&start, &steps, choice);
+            let has_origin = navigator.has_origin();
+            navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
+            run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
+            (navigator, has_origin)
+        };
+        let (mut navigator, has_origin) = run(choice);
+        let mut antenna = None;
+        if method == Method::Strapdown
+            && navigator.rejects_fixes()
+            && let Some(aids) = choice.aids.of_antenna()
+        {
+            let (with_arm, _) = run(&Choice { aids, ..choice.clone() });
+            if with_arm.log_likelihood > navigator.log_likelihood + SHOWN {
+                antenna = with_arm.antenna();
+                navigator = with_arm;
+            }
+        }
         let [used, rejected] = navigator.core.fields();
         if method == Method::Strapdown && rejected > used {
             return self
@@ -133,6 +153,7 @@ impl<'a> Unit<'a> {
             point.valid &= point.sd_m() <= choice.limit_m && (has_origin || k >= from);
         }
         let mut findings = choice.aids.findings.clone();
+        findings.extend(antenna);
         findings.extend(navigator.findings());
         findings.extend(said);
         if let (false, Some(origin)) = (at_rest_first, navigator.origin) {

@@ -377,6 +377,7 @@ impl Navigator {
         };
         tape.finish(&mut self.core, &mut points);
         self.contradictions = tape.contradictions;
+        self.wrong_s.extend(self.denied_s().map(|from_s| [from_s, f64::INFINITY]));
         let is_wrong =
             |time_s| self.wrong_s.iter().any(|[from, to]| *from < time_s && time_s < *to);
         for point in &mut points {
@@ -385,6 +386,15 @@ impl Navigator {
         super::moves::smoothed_moves(moves, &points, &tape);
         let findings = self.segments.clone().finish(&mut points, moves);
         (points, findings)
+    }
+
+    /// When most aids of a kind began to contradict a path that no position shows, s: none knows which of them is right.
+    fn denied_s(&self) -> Option<f64> {
+        if self.last_position_s.is_some() || self.anchors.is_some() {
+            return None;
+        }
+        let times = self.uses.values().filter_map(AidUse::denied_s);
+        times.reduce(f64::min)
     }
 
     /// Whether aids contradicted the path, which jumped to them, or later samples what was before.
@@ -417,16 +427,6 @@ impl Navigator {
         self.added.iter().flat_map(of).collect()
     }
 
-    /// What was noticed: samples and aids that were not used, recoveries and restarts of the filter.
-    pub fn findings(&self) -> Vec<Problem> {
-        let left_out = [
-            (self.no_time, "whose time goes back: not used"),
-            (self.not_finite, "that is not finite: not used"),
-        ];
-        let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
-        for used in self.uses.values() {
-            found.extend(used.finding());
-        }
     /// Whether fixes of the position were rejected, and nothing else explains them: a vehicle estimates its antenna.
     pub fn rejects_fixes(&self) -> bool {
         let rejected = self.uses.get(POSITION.name).is_some_and(|uses| uses.rejected > 0);
@@ -448,6 +448,16 @@ impl Navigator {
         Some(Code::Navigation.warning(text).remedy(remedy))
     }
 
+    /// What was noticed: samples and aids that were not used, recoveries and restarts of the filter.
+    pub fn findings(&self) -> Vec<Problem> {
+        let left_out = [
+            (self.no_time, "whose time goes back: not used"),
+            (self.not_finite, "that is not finite: not used"),
+        ];
+        let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
+        for used in self.uses.values() {
+            found.extend(used.finding());
+        }
         found.extend(self.suspected());
         found.extend(self.jumps());
         found.extend(self.magnet());

@@ -5,6 +5,9 @@ use super::aids::{Aid, Kind, several};
 use crate::localization::AnchorStates;
 use crate::{Code, Problem};
 
+/// Fewest of a kind that contradict a path: 5 by chance is 10⁻¹⁵.
+const DENIED: usize = 5;
+
 /// What happened to the measurements of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AidUse {
@@ -46,6 +49,12 @@ impl AidUse {
     pub(super) fn text(&self) -> String {
         let Self { used, rejected, late, kind, .. } = self;
         format!("{}: {used} used, {rejected} rejected, {late} late\n", several(kind.one))
+    }
+
+    /// When the first one contradicted the path, s, if most did.
+    pub(super) fn denied_s(&self) -> Option<f64> {
+        let most = self.rejected >= DENIED && self.rejected > self.used;
+        self.rejected_s.filter(|_| most).map(|[first_s, _]| first_s)
     }
 
     /// What is said of rejected ones.

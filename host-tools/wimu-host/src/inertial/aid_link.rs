@@ -139,7 +139,7 @@ impl AidLink {
     fn aids(&mut self, text: &str, arrived_s: f64) -> Result<Vec<Aid>> {
         let mut table = Measurements::of(&self.name, text)?;
         let is_first = self.plane.is_none();
-        table.to_tangent_plane(&mut self.plane)?;
+        table.project(&mut self.plane)?;
         if let Some(plane) = self.plane.as_ref().filter(|_| is_first) {
             self.finding = Some(plane.note());
         }

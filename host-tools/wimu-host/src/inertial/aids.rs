@@ -265,7 +265,7 @@ impl Aids {
     /// `file_unreadable`, `csv_missing_column`, `csv_bad_number`, `no_rows` without a measurement.
     pub fn read(path: &Path, mounting: &Mounting) -> Result<Self> {
         let (mut table, mut plane) = (Measurements::read(path)?, None);
-        table.to_tangent_plane(&mut plane)?;
+        table.project(&mut plane)?;
         let mut all = Self::of(&table, None, mounting)?;
         all.findings.extend(plane.map(|plane| plane.note()));
         Ok(all)

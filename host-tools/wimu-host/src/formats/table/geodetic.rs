@@ -12,7 +12,7 @@ const ECCENTRICITY2: f64 = 6.694_379_990_14e-3;
 
 /// Degrees: what receivers write without a unit.
 const DEGREES: Sizes = &[(1.0, "deg"), (1.0, "")];
-const METRES: Sizes = &[(1.0, ""), (1.0, "m")];
+const ALTITUDE: Sizes = &[(1.0, "m"), (1.0, ""), (1e-2, "cm"), (1e-3, "mm")];
 
 /// The axes east, north and up at a place: equation (197).
 #[derive(Clone, Debug)]
@@ -73,7 +73,7 @@ impl Measurements {
     ///
     /// # Errors
     /// `csv_bad_number`, also of an angle outside its range.
-    pub fn to_tangent_plane(&mut self, plane: &mut Option<TangentPlane>) -> Result<()> {
+    pub fn project(&mut self, plane: &mut Option<TangentPlane>) -> Result<()> {
         let angle = |names: &[&str]| self.column(names, DEGREES);
         let (Some(latitude), Some(longitude)) =
             (angle(&["Latitude", "Lat"]), angle(&["Longitude", "Lon", "Lng", "Long"]))
@@ -83,7 +83,7 @@ impl Measurements {
         if self.column(&["Position E"], LENGTH).is_some() {
             return Ok(());
         }
-        let altitude = self.column(&["Altitude", "Alt", "Height"], METRES);
+        let altitude = self.column(&["Altitude", "Alt", "Height"], ALTITUDE);
         for row in 0..self.len() {
             let angles = [self.angle(row, latitude, 90.0)?, self.angle(row, longitude, 180.0)?];
             let height_m = altitude.map_or(Ok(None), |column| self.value(row, column))?;

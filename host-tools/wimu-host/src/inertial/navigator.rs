@@ -90,7 +90,7 @@ pub(crate) struct Navigator {
     recorded: Option<Recorded>,
     now_s: f64,
     /// Whether its positions are in a frame that was given: that of fixes, or of a pose at the start.
-    framed: bool,
+    pub framed: bool,
     /// Number of the step at which position is zero: the last of the first rest.
     pub origin: Option<usize>,
     in_first_rest: bool,
@@ -434,7 +434,7 @@ impl Navigator {
     }
 
     /// The lever arm of fixes that was estimated.
-    pub fn antenna(&self) -> Option<Problem> {
+    fn antenna(&self) -> Option<Problem> {
         let arm = self.added.iter().find(|added| *added.kind == POSITION)?;
         let [x, y, z] = <[_; 3]>::try_from(arm.blocks.clone()).ok()?.map(|b| self.estimate(b));
         let arm = [x, y, z].map(|[value, _]| format!("{value:.2}"));
@@ -455,6 +455,7 @@ impl Navigator {
             (self.not_finite, "that is not finite: not used"),
         ];
         let mut found = counted_findings(Code::SamplesLeftOut, "sample", &left_out);
+        found.extend(self.antenna());
         for used in self.uses.values() {
             found.extend(used.finding());
         }

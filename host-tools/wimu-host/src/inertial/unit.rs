@@ -123,22 +123,19 @@ impl<'a> Unit<'a> {
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
         let smooth = choice.smooth && method == Method::Strapdown;
         let start = self.start(&rests, choice)?;
-        let run = |choice: &Choice| {
+        let navigate = |choice: &Choice| {
             let mut navigator = self.placed(&start, &steps, choice);
-            let has_origin = navigator.has_origin();
             navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
             run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
-            (navigator, has_origin)
+            navigator
         };
-        let (mut navigator, has_origin) = run(choice);
-        let mut antenna = None;
+        let mut navigator = navigate(choice);
         if method == Method::Strapdown
             && navigator.rejects_fixes()
             && let Some(aids) = choice.aids.of_antenna()
         {
-            let (with_arm, _) = run(&Choice { aids, ..choice.clone() });
+            let with_arm = navigate(&Choice { aids, ..choice.clone() });
             if with_arm.log_likelihood > navigator.log_likelihood + SHOWN {
-                antenna = with_arm.antenna();
                 navigator = with_arm;
             }
         }
@@ -147,22 +144,45 @@ impl<'a> Unit<'a> {
             return self
                 .path_without_field(choice, f64::from(rejected) / f64::from(used + rejected));
         }
+        let has_origin = at_rest_first || navigator.framed;
         let (mut points, said) = navigator.finish(&mut moves);
         let from = navigator.origin.unwrap_or(0);
         for (k, point) in points.iter_mut().enumerate() {
             point.valid &= point.sd_m() <= choice.limit_m && (has_origin || k >= from);
         }
-        let mut findings = choice.aids.findings.clone();
-        findings.extend(antenna);
-        findings.extend(navigator.findings());
-        findings.extend(said);
+        let mut path = InertialPath::new(method, points, from, choice.limit_m);
+        let rests_only = path.points[from..].iter().all(|point| point.resting);
+        let is_short = self.within(FIRST_REST_S) == self.samples.len();
+        if !has_origin && (is_short || rests_only) {
+            return Err(self.moves_before(&path, from));
+        }
+        path.moves = moves;
+        path.smoothed = smooth;
+        path.findings = self.findings(choice, method, &navigator, said);
         if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
             let text = format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
                 self.times_s[origin]
             );
-            findings.insert(0, Code::Navigation.note(text));
+            path.findings.insert(0, Code::Navigation.note(text));
         }
+        path.states = navigator.states();
+        path.aids = navigator.uses;
+        path.residuals = navigator.residuals;
+        Ok(path)
+    }
+
+    /// What was noticed, with what is `said` of segments.
+    fn findings(
+        &self,
+        choice: &Choice,
+        method: Method,
+        navigator: &Navigator,
+        said: Vec<Problem>,
+    ) -> Vec<Problem> {
+        let mut findings = choice.aids.findings.clone();
+        findings.extend(navigator.findings());
+        findings.extend(said);
         findings.extend(gaps(self.times_s, "sample", gap_s(self.times_s)));
         let clipped = [(self.clipped.len(), "not used: σ grows there")];
         findings.extend(counted_findings(Code::Navigation, "clipped sample", &clipped));
@@ -175,19 +195,7 @@ impl<'a> Unit<'a> {
             }
             _ => {}
         }
-        let mut path = InertialPath::new(method, points, from, choice.limit_m);
-        let rests_only = path.points[from..].iter().all(|point| point.resting);
-        let is_short = self.within(FIRST_REST_S) == self.samples.len();
-        if !has_origin && (is_short || rests_only) {
-            return Err(self.moves_before(&path, from));
-        }
-        path.moves = moves;
-        path.smoothed = smooth;
-        path.findings = findings;
-        path.states = navigator.states();
-        path.aids = navigator.uses;
-        path.residuals = navigator.residuals;
-        Ok(path)
+        findings
     }
 
     /// Whether all motion, but for less than the shortest rest, is moves between rests at which gravity has one direction.

@@ -53,8 +53,10 @@ pub struct Kind {
     /// Names of the column of each value, without the unit; none of a kind that is not read from a table. The column of
     /// σ has the word `Sigma` at the end, or before an axis.
     pub columns: &'static [&'static [&'static str]],
-    /// Size of units in SI units, and their names in lower case; the first is the SI unit, which messages name.
+    /// Size of units in SI units, and their names; the first is the SI unit, which messages name.
     pub unit: &'static [(f64, &'static str)],
+    /// Values that may be, in SI units: others have a wrong unit, or were not measured.
+    pub range: [f64; 2],
     /// σ without a column of it, in SI units; `None` where the model of the vehicle or of the ranges has it.
     pub usual_sd: Option<f64>,
     /// Whether a row needs all values.
@@ -74,6 +76,7 @@ pub struct Kind {
 impl Kind {
     /// Three values that do nothing, each of which may be missing.
     pub const DEFAULT: Self = Self {
+        range: [f64::NEG_INFINITY, f64::INFINITY],
         name: "",
         one: "",
         columns: &[],
@@ -308,6 +311,9 @@ impl Aids {
                 }));
             }
         }
+        for Columns { kind, .. } in &found {
+            all.leave_out_impossible(kind).map_err(|error| error.at(&table.name))?;
+        }
         if not_positive > 0 {
             let what = counted(not_positive, "standard deviation");
             let text =
@@ -321,6 +327,35 @@ impl Aids {
         all.aids.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         all.leave_out_repeated();
         Ok(all)
+    }
+
+    /// Leaves out values of a kind outside of its range.
+    ///
+    /// # Errors
+    /// `data_refused` where all are.
+    fn leave_out_impossible(&mut self, kind: &Kind) -> Result<()> {
+        let [least, most] = kind.range;
+        let is_outside =
+            |(value, sd): (&f64, &f64)| sd.is_finite() && !(least..=most).contains(value);
+        let is_impossible =
+            |aid: &Aid| aid.kind == kind && aid.value.iter().zip(&aid.sd).any(is_outside);
+        let all = self.aids.iter().filter(|aid| aid.kind == kind).count();
+        let before = self.aids.len();
+        self.aids.retain(|aid| !is_impossible(aid));
+        let count = before - self.aids.len();
+        if count == 0 {
+            return Ok(());
+        }
+        let what = if count == all { several(kind.one) } else { counted(count, kind.one) };
+        let unit = kind.unit[0].1;
+        let text = format!("{what} outside of {least} to {most} {unit}");
+        let remedy = "check their unit";
+        if count == all {
+            return Err(Code::DataRefused.error(format!("all {text}"), remedy));
+        }
+        self.findings
+            .push(Code::SamplesLeftOut.warning(format!("{text}: left out")).remedy(remedy));
+        Ok(())
     }
 
     /// Leaves out fixes that a receiver repeats while it has no signal.

@@ -18,7 +18,9 @@ pub static PRESSURE: Kind = Kind {
     name: "pressure",
     one: "pressure",
     columns: &[&["Pressure"]],
-    unit: &[(1.0, "pa"), (100.0, "hpa mbar"), (1000.0, "kpa")],
+    unit: &[(1.0, "Pa"), (100.0, "hPa mbar"), (1000.0, "kPa")],
+    // Range of the BMP280: 9 km above sea level to 0.7 km below.
+    range: [30e3, 110e3],
     usual_sd: Some(3.0),
     states: &[State { name: "height of the origin", unit: "m", sd: 2000.0, walk: 0.15 }],
     remedy: "check that the vent of the barometer is open and not in a draught",

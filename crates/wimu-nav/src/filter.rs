@@ -253,9 +253,9 @@ impl Filter {
 
     /// Innovation, P Hᵀ and gain. No gain where the covariance of the innovation is not positive definite.
     fn solve(&self, prediction: &Prediction) -> (Innovation, Option<Solved>) {
-        let dof = prediction.z.len();
+        let dof = prediction.dof;
         let cross = prediction.times_ht(&self.covariance);
-        let value = if dof == 1 { prediction.z[0] } else { prediction.z.norm() };
+        let value = if prediction.z.len() == 1 { prediction.z[0] } else { prediction.z.norm() };
         let Some(factor) = (prediction.by_h(&cross) + &prediction.r).cholesky() else {
             let (statistic, log_likelihood) = (f64::NAN, f64::NAN);
             let innovation = Innovation { value, statistic, dof, log_likelihood, accepted: false };

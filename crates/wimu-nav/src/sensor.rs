@@ -64,6 +64,8 @@ pub struct Prediction {
     pub z: DVector<f64>,
     /// Covariance of the noise.
     pub r: DMatrix<f64>,
+    /// Degrees of freedom: the components that are measured.
+    pub dof: usize,
     /// States with a derivative, and the derivative of the predicted values with respect to the error (true minus estimated)
     /// of each: the columns of H in (118) that are not zero.
     states: Vec<usize>,
@@ -76,6 +78,7 @@ impl Prediction {
         Self {
             z: DVector::from_column_slice(z.as_slice()),
             r: DMatrix::from_column_slice(M, M, r.as_slice()),
+            dof: M,
             states: Vec::new(),
             columns: Vec::new(),
         }

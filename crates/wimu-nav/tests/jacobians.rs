@@ -288,7 +288,8 @@ fn the_jacobian_of_each_sensor_is_its_derivative() {
         assert_jacobian::<2>(&start, &all, &VerticalRate { block, deviation });
         for offset in [None, Some(offset)] {
             let (velocity_mps, turning_mps) = (vector(1.0), vector(0.5));
-            let velocity = Velocity { velocity_mps, deviation_mps: 0.1, turning_mps, offset };
+            let deviation_mps = Vector3::repeat(0.1);
+            let velocity = Velocity { velocity_mps, deviation_mps, turning_mps, offset };
             assert_jacobian::<3>(&start, &all, &velocity);
         }
     }

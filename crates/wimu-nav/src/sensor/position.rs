@@ -24,23 +24,35 @@ impl Measurement for Position {
     fn predict(&self, filter: &Filter) -> Prediction {
         let arm = filter.state.attitude * self.lever_arm_m;
         let shown = filter.state.get(POSITION) + arm;
-        let rows = self.measured();
-        // A component without a measurement, which may be no number: no innovation, any variance.
-        let finite = |value: f64, sd: f64, other| if sd.is_finite() { value } else { other };
-        let off =
-            (self.position_m - shown).zip_map(&self.deviation_m, |off, sd| finite(off, sd, 0.0));
-        let variance = self.deviation_m.map(|sd| finite(sd * sd, sd, 1.0));
-        Prediction::new(off, Matrix3::from_diagonal(&variance))
-            .by(POSITION, rows)
-            .by(ATTITUDE, rows * -arm.cross_matrix())
+        let (predicted, rows) = components(self.position_m - shown, &self.deviation_m);
+        predicted.by(POSITION, rows).by(ATTITUDE, rows * -arm.cross_matrix())
     }
 }
 
 impl Position {
     /// One on the diagonal for each component that is measured.
     pub fn measured(&self) -> Matrix3<f64> {
-        Matrix3::from_diagonal(&self.deviation_m.map(|sd| f64::from(u8::from(sd.is_finite()))))
+        measured(&self.deviation_m)
     }
+}
+
+/// One on the diagonal for each finite standard deviation.
+fn measured(deviation: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&deviation.map(|sd| f64::from(u8::from(sd.is_finite()))))
+}
+
+/// The innovation of a vector, of which components may not be measured, and its rows: one on the diagonal for each that is.
+pub(super) fn components(
+    off: Vector3<f64>,
+    deviation: &Vector3<f64>,
+) -> (Prediction, Matrix3<f64>) {
+    // A component without a measurement, which may be no number: no innovation, any variance.
+    let finite = |value: f64, sd: f64, other| if sd.is_finite() { value } else { other };
+    let off = off.zip_map(deviation, |off, sd| finite(off, sd, 0.0));
+    let variance = deviation.map(|sd| finite(sd * sd, sd, 1.0));
+    let dof = deviation.iter().filter(|sd| sd.is_finite()).count();
+    let predicted = Prediction::new(off, Matrix3::from_diagonal(&variance));
+    (Prediction { dof, ..predicted }, measured(deviation))
 }
 
 /// A position fix by an antenna. What is known of its lever arm is in the fix; the rest is a state.

@@ -3,6 +3,7 @@
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector1, Vector2, Vector3};
 
+use super::position::components;
 use super::{Measurement, Prediction};
 use crate::filter::{Filter, Gate};
 use crate::state::{ATTITUDE, Block, POSITION, State, VELOCITY};
@@ -12,8 +13,8 @@ use crate::state::{ATTITUDE, Block, POSITION, State, VELOCITY};
 pub struct Velocity {
     /// m/s.
     pub velocity_mps: Vector3<f64>,
-    /// Standard deviation of a component, m/s.
-    pub deviation_mps: f64,
+    /// Standard deviation of each component, m/s; infinite where it is not measured.
+    pub deviation_mps: Vector3<f64>,
     /// Velocity of the point relative to the unit, ω × r, m/s, body frame.
     pub turning_mps: Vector3<f64>,
     /// A velocity that is added to it, m/s: of a platform, or one that a rest does not show.
@@ -24,6 +25,7 @@ impl Velocity {
     /// Zero with a standard deviation of a component, m/s.
     pub fn zero(deviation_mps: f64, offset: Option<Block<3>>) -> Self {
         let zero = Vector3::zeros();
+        let deviation_mps = Vector3::repeat(deviation_mps);
         Self { velocity_mps: zero, deviation_mps, turning_mps: zero, offset }
     }
 }
@@ -32,13 +34,13 @@ impl Measurement for Velocity {
     fn predict(&self, filter: &Filter) -> Prediction {
         let state = &filter.state;
         let offset = self.offset.map_or_else(Vector3::zeros, |block| state.get(block));
-        let noise = Matrix3::from_diagonal_element(self.deviation_mps * self.deviation_mps);
         let turning = state.attitude * self.turning_mps;
         let shown = state.get(VELOCITY) + turning;
-        Prediction::new(self.velocity_mps + offset - shown, noise)
-            .by(VELOCITY, Matrix3::identity())
-            .by(ATTITUDE, -turning.cross_matrix())
-            .by_some(self.offset, -Matrix3::identity())
+        let (predicted, rows) = components(self.velocity_mps + offset - shown, &self.deviation_mps);
+        predicted
+            .by(VELOCITY, rows)
+            .by(ATTITUDE, rows * -turning.cross_matrix())
+            .by_some(self.offset, -rows)
     }
 }
 

@@ -59,8 +59,6 @@ pub struct Kind {
     pub range: [f64; 2],
     /// σ without a column of it, in SI units; `None` where the model of the vehicle or of the ranges has it.
     pub usual_sd: Option<f64>,
-    /// Whether a row needs all values.
-    pub is_whole: bool,
     /// States that it adds to the filter.
     pub states: &'static [State],
     /// Fraction of rejected ones that is not reported.
@@ -82,7 +80,6 @@ impl Kind {
         columns: &[],
         unit: &[(1.0, "")],
         usual_sd: None,
-        is_whole: false,
         states: &[],
         rejects: 0.0,
         remedy: "check their standard deviations, the delay (--setup fix_delay_s=S) and the lever arm (lever_arm_m)",
@@ -288,11 +285,6 @@ impl Aids {
         if found.is_empty() {
             let text = format!("no column is a measurement: {}", table.header.join(", "));
             return Err(Code::CsvMissingColumn.error(text, known_names()).at(&table.name));
-        }
-        for Columns { kind, values, .. } in &found {
-            if let (true, Some(k)) = (kind.is_whole, values.iter().position(Option::is_none)) {
-                return Err(table.missing(kind.columns[k][0]));
-            }
         }
         let mut all = Self { findings: noticed(table, time, &found), ..Self::default() };
         let mut not_positive = 0;
@@ -546,8 +538,7 @@ impl Columns {
             aid.sd[k] = sd.filter(|sd| *sd > 0.0).unwrap_or(usual);
             measured += 1;
         }
-        let least = if self.kind.is_whole { self.values.len() } else { 1 };
-        Ok((measured >= least).then_some(aid))
+        Ok((measured > 0).then_some(aid))
     }
 }
 

@@ -13,14 +13,13 @@ pub static VELOCITY: Kind = Kind {
     columns: &[&["Velocity E"], &["Velocity N"], &["Velocity U"]],
     unit: SPEED,
     usual_sd: Some(0.2),
-    is_whole: true,
     needs: "beside positions a vehicle does not use them: a receiver filters its velocity more than its position",
     update: |aid, to| {
         // A receiver filters its velocity more than its position: 0.1 s later on the drive of a car (docs/reference/validation.md, car).
         if to.with_position && to.navigator.vehicle().is_some() {
             return None;
         }
-        let deviation_mps = aid.sd.into_iter().fold(0.0, f64::max);
+        let deviation_mps = aid.sd.into();
         let turning_mps = to.navigator.angular_rate().cross(&Vector3::from(aid.lever_arm_m));
         let velocity_mps = aid.value.into();
         to.with(Velocity { velocity_mps, deviation_mps, turning_mps, offset: None })

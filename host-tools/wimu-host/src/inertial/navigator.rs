@@ -427,7 +427,7 @@ impl Navigator {
         self.added.iter().flat_map(of).collect()
     }
 
-    /// Whether fixes of the position were rejected, and nothing else explains them: a vehicle estimates its antenna.
+    /// Whether fixes of the position were rejected.
     pub fn rejects_fixes(&self) -> bool {
         let rejected = self.uses.get(POSITION.name).is_some_and(|uses| uses.rejected > 0);
         rejected && self.core.vehicle().is_none()

@@ -17,7 +17,7 @@ use super::navigator::{Carrier, FIRST_REST_S, Navigator, Step, counted_findings}
 use super::rests::runs;
 use super::sense::Senses;
 use super::steps::{steps, turns_like_a_foot};
-use super::{Choice, InertialPath, Method};
+use super::{Choice, InertialPath, Method, Zupt};
 use crate::imu::Imu;
 use crate::plural::counted;
 use crate::rests::RestLimits;
@@ -122,21 +122,22 @@ impl<'a> Unit<'a> {
         let at_rest_first = self.first_rest(&rests).is_some();
         // Without a gyroscope the smoother gains nothing: 0.1 % of the error (docs/reference/validation.md, accelerometer).
         let smooth = choice.smooth && method == Method::Strapdown;
-        let start = self.start(&rests, choice)?;
         let navigate = |choice: &Choice| {
-            let mut navigator = self.placed(&start, &steps, choice);
+            let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
             navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
             run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
             navigator
         };
-        let mut navigator = navigate(choice);
-        if method == Method::Strapdown
-            && navigator.rejects_fixes()
-            && let Some(aids) = choice.aids.of_antenna()
-        {
-            let with_arm = navigate(&Choice { aids, ..choice.clone() });
-            if with_arm.log_likelihood > navigator.log_likelihood + SHOWN {
-                navigator = with_arm;
+        let mut navigator = navigate(choice)?;
+        let least = navigator.log_likelihood + SHOWN;
+        let mut without_rests = false;
+        if method == Method::Strapdown && navigator.rejects_fixes() {
+            for other in self.others(choice) {
+                let tried = navigate(&other)?;
+                if tried.log_likelihood > navigator.log_likelihood.max(least) {
+                    navigator = tried;
+                    without_rests = other.zupt != choice.zupt;
+                }
             }
         }
         let [used, rejected] = navigator.core.fields();
@@ -162,6 +163,12 @@ impl<'a> Unit<'a> {
         if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
             let text = format!(
                 "no rest at the start: position is measured from the first rest, at {:.2} s",
+        if without_rests {
+            let text = "the fixes contradict the rests, which were motion without a change of velocity: they are not used";
+            let remedy =
+                "--rests FROM-TO gives times at which it rested, --zupt off says that it did not";
+            path.findings.push(Code::Navigation.warning(text).remedy(remedy));
+        }
                 self.times_s[origin]
             );
             path.findings.insert(0, Code::Navigation.note(text));
@@ -175,6 +182,19 @@ impl<'a> Unit<'a> {
     /// What was noticed, with what is `said` of segments.
     fn findings(
         &self,
+    /// What may explain fixes that contradict the path: an antenna at a lever arm, and rests that were none.
+    fn others(&self, choice: &Choice) -> Vec<Choice> {
+        let antenna = choice.aids.of_antenna().filter(|_| choice.profile != Profile::Vehicle);
+        let mut others = Vec::from_iter(antenna.map(|aids| Choice { aids, ..choice.clone() }));
+        if choice.zupt == Zupt::Stated
+            && choice.rests_s.is_none()
+            && choice.profile != Profile::Foot
+        {
+            others.push(Choice { zupt: Zupt::Off, ..choice.clone() });
+        }
+        others
+    }
+
         choice: &Choice,
         method: Method,
         navigator: &Navigator,

@@ -149,7 +149,8 @@ impl Senses {
 }
 
 /// Mean angular rate at the rests that the accelerometer alone shows, rad/s, where the detector of rests would take it for a
-/// motion. A rotation about the vertical does not show in the accelerometer, and lasts at every rest if it is a bias.
+/// motion. A rotation about the vertical does not show in the accelerometer, and lasts at every rest if it is a bias: at two
+/// or more.
 fn rate_bias(recording: &Imu) -> Option<Vector3<f64>> {
     let limits = RestLimits::default();
     let [steady, hidden] =
@@ -159,18 +160,13 @@ fn rate_bias(recording: &Imu) -> Option<Vector3<f64>> {
         let rates: Vec<Vector3<f64>> = samples.iter().filter_map(|s| s.rate_rad_s).collect();
         let mean = rates.iter().sum::<Vector3<f64>>() / rates.len() as f64;
         let scatter = rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>();
-        let force: Vector3<f64> = samples.iter().map(|s| s.force_mps2).sum();
-        let is_steady = (scatter / rates.len() as f64).sqrt() < steady;
-        is_steady.then(|| (mean, force.normalize()))
+        ((scatter / rates.len() as f64).sqrt() < steady).then_some(mean)
     };
     let rests: Vec<_> = recording.still_seconds().into_iter().filter_map(at_rest).collect();
-    let bias = Vector3::from_fn(|axis, _| {
-        median(rests.iter().map(|(mean, _)| mean[axis])).unwrap_or_default()
-    });
-    let is_constant = rests.iter().all(|(mean, _)| (mean - bias).norm() < hidden);
-    let is_level = |up: &Vector3<f64>| bias.cross(up).norm() < hidden;
-    let may_turn = rests.len() < 2 && rests.iter().all(|(_, up)| is_level(up));
-    (bias.norm() > hidden && is_constant && !may_turn).then_some(bias)
+    let bias =
+        Vector3::from_fn(|axis, _| median(rests.iter().map(|mean| mean[axis])).unwrap_or_default());
+    let is_constant = rests.iter().all(|mean| (mean - bias).norm() < hidden);
+    (rests.len() > 1 && bias.norm() > hidden && is_constant).then_some(bias)
 }
 
 /// Whether times go on as those of samples do.

@@ -147,7 +147,12 @@ impl Aid {
         }
     }
 
-    /// Whether it is a horizontal position: the path is in its frame.
+    /// Whether a horizontal component is measured.
+    fn is_horizontal(&self) -> bool {
+        self.sd[..2].iter().any(|sd| sd.is_finite())
+    }
+
+    /// Whether it is a horizontal position.
     pub(super) fn is_level(&self) -> bool {
         *self.kind == position::POSITION && self.sd[..2].iter().all(|sd| sd.is_finite())
     }
@@ -158,8 +163,8 @@ impl Aid {
 pub(crate) struct Place {
     /// East, north and up, m.
     pub position_m: Vector3<f64>,
-    /// Standard deviation of a horizontal component, and of the height, m.
-    pub sd_m: [f64; 2],
+    /// Standard deviation of each component, m.
+    pub sd_m: Vector3<f64>,
 }
 
 /// What a kind updates.
@@ -428,8 +433,8 @@ impl Aids {
     /// Places at a time, s, in the frame of the fixes: that of the first fix, or those that ranges show; `given` instead of the
     /// latter. None as long as there are none.
     pub(super) fn places(&self, time_s: f64, given: Option<&StartPose>) -> Vec<Place> {
-        if let Some(fix) = self.origin().filter(|fix| fix.time_s <= time_s) {
-            return vec![self.place(fix)];
+        if self.origin().is_some_and(|fix| fix.time_s <= time_s) {
+            return vec![self.place(given)];
         }
         let Some(ranging) = &self.ranging else {
             return Vec::new();
@@ -438,32 +443,63 @@ impl Aids {
         let ranges: Vec<Aid> = self.aids.iter().filter(is_range).copied().collect();
         match (given, ranges.first()) {
             (Some(pose), Some(_)) => {
-                vec![Place { position_m: pose.position_m.into(), sd_m: [GIVEN_M; 2] }]
+                vec![Place { position_m: pose.position_m.into(), sd_m: Vector3::repeat(GIVEN_M) }]
             }
             (None, Some(first)) if first.time_s <= time_s - FIRST_RANGES_S => {
                 let found = ranging.positions(&ranges).into_iter();
-                found.map(|(position_m, sd_m)| Place { position_m, sd_m: [sd_m; 2] }).collect()
+                let place = |(position_m, sd_m)| Place { position_m, sd_m: Vector3::repeat(sd_m) };
+                found.map(place).collect()
             }
             _ => Vec::new(),
         }
     }
 
-    /// The place of a fix. A height that no fix measures is that above the start.
-    pub(super) fn place(&self, fix: &Aid) -> Place {
-        let [east, north, _] = fix.value;
-        let [up, up_sd] = self.height().map_or([0.0; 2], |[height_m, _]| [height_m, START_M]);
-        Place { position_m: Vector3::new(east, north, up), sd_m: [START_M, up_sd] }
+    /// The first fix that measures each component.
+    fn firsts(&self) -> [Option<&Aid>; 3] {
+        let fixes = || self.aids.iter().filter(|aid| *aid.kind == position::POSITION);
+        [0, 1, 2].map(|axis| fixes().find(|fix| fix.sd[axis].is_finite()))
     }
 
-    /// The first fix of the horizontal position: the path is in its frame.
+    /// Where the path starts: a place that is given, or that of the first fixes. A component that no fix measures is that from
+    /// there.
+    pub(super) fn place(&self, given: Option<&StartPose>) -> Place {
+        let mut place = Place { position_m: Vector3::zeros(), sd_m: Vector3::zeros() };
+        for (axis, first) in self.firsts().into_iter().enumerate() {
+            if let Some(fix) = first {
+                place.position_m[axis] = fix.value[axis];
+                place.sd_m[axis] = given.map_or(START_M, |_| GIVEN_M);
+            }
+        }
+        Place { position_m: given.map_or(place.position_m, |pose| pose.position_m.into()), ..place }
+    }
+
+    /// A path that closes within `sd_m`, m: it ends where it begins.
+    pub(super) fn closed(&self, sd_m: f64, given: Option<&StartPose>, time_s: f64) -> Aid {
+        let mut closed = Aid::of(&position::LOOP, time_s, &[0.0; 3], sd_m);
+        if let Some(pose) = given {
+            return Aid { value: pose.position_m, ..closed };
+        }
+        for (axis, first) in self.firsts().into_iter().enumerate() {
+            if let Some(fix) = first {
+                closed.value[axis] = fix.value[axis];
+                closed.sd[axis] = sd_m.hypot(fix.sd[axis]).hypot(norm(fix.lever_arm_m));
+            }
+        }
+        closed
+    }
+
+    /// The first fix of a horizontal position: the path is in its frame.
     pub fn origin(&self) -> Option<&Aid> {
-        self.aids.iter().find(|aid| aid.is_level())
+        self.aids.iter().find(|aid| *aid.kind == position::POSITION && aid.is_horizontal())
     }
 
     /// Whether they show the heading: that of the path is then theirs.
     pub(super) fn show_heading(&self) -> bool {
-        let shows = |aid: &&Aid| *aid.kind == heading::HEADING || *aid.kind == velocity::VELOCITY;
-        self.origin().is_some() || self.aids.iter().any(|aid| shows(&aid))
+        let shows = |aid: &Aid| {
+            *aid.kind == heading::HEADING
+                || (*aid.kind == velocity::VELOCITY && aid.is_horizontal())
+        };
+        self.origin().is_some() || self.aids.iter().any(shows)
     }
 
     /// The first measured height, m, of fixes without a horizontal position, and its standard deviation.
@@ -475,9 +511,13 @@ impl Aids {
     /// Velocity at the time, s, of a start in motion, m/s, with the standard deviation of a component: that measured with
     /// the first fix, or of the way to the next one that is far enough in time.
     pub(super) fn velocity(&self, time_s: f64) -> Option<(Vector3<f64>, f64)> {
-        let first = self.origin()?;
+        let first = self.aids.iter().find(|aid| aid.is_level())?;
         let since = |fix_s: f64| VEHICLE_MPS2 * (fix_s - time_s).abs();
-        let with = |aid: &&Aid| aid.time_s == first.time_s && *aid.kind == velocity::VELOCITY;
+        let with = |aid: &&Aid| {
+            aid.time_s == first.time_s
+                && *aid.kind == velocity::VELOCITY
+                && aid.sd.iter().all(|sd| sd.is_finite())
+        };
         if let Some(known) = self.aids.iter().find(with) {
             return Some((known.value.into(), known.sd[0].hypot(since(first.time_s))));
         }

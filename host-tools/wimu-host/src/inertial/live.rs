@@ -286,7 +286,8 @@ impl Live {
         let anchors = ranging.map(|ranging| ranging.claim(&mut start.core));
         let gravity_mps2 = unit.gravity_mps2;
         choice.aids.aids.iter().for_each(|aid| start.aid(aid));
-        let placed = choice.start.is_some() && anchors.is_none();
+        let has_heading = choice.start.is_some_and(|pose| pose.heading_rad.is_some());
+        let placed = has_heading && anchors.is_none();
         let paths = vec![start];
         self.begun = Some(Begun {
             method,

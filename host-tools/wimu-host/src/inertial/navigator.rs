@@ -166,7 +166,7 @@ impl Navigator {
     /// Moves to a place in the frame of fixes, at a heading, rad; with a velocity, m/s, where it is known.
     pub fn place(
         &mut self,
-        Place { position_m, sd_m: [level_sd, up_sd] }: Place,
+        Place { position_m, sd_m }: Place,
         velocity: Option<(Vector3<f64>, f64)>,
         heading: f64,
     ) {
@@ -175,9 +175,9 @@ impl Navigator {
         let (velocity, velocity_sd) =
             velocity.unwrap_or((solution.velocity_mps.into(), variance.sqrt()));
         self.core.set_heading(heading);
-        let deviations = [level_sd, velocity_sd, HEADING_SD];
-        self.core.set_pose(position_m, velocity, heading, deviations);
-        self.core.change(|filter| filter.set_covariance(UP, &Matrix1::new(up_sd * up_sd)));
+        self.core.set_pose(position_m, velocity, heading, [sd_m.max(), velocity_sd, HEADING_SD]);
+        let variance = Matrix3::from_diagonal(&sd_m.component_mul(&sd_m));
+        self.core.change(|filter| filter.set_covariance(state::POSITION, &variance));
         self.framed = true;
     }
 
@@ -429,8 +429,7 @@ impl Navigator {
 
     /// Whether fixes of the position were rejected.
     pub fn rejects_fixes(&self) -> bool {
-        let rejected = self.uses.get(POSITION.name).is_some_and(|uses| uses.rejected > 0);
-        rejected && self.core.vehicle().is_none()
+        self.uses.get(POSITION.name).is_some_and(|uses| uses.rejected > 0)
     }
 
     /// The lever arm of fixes that was estimated.

@@ -9,7 +9,6 @@ use wimu_nav::navigator::{
 use wimu_nav::stance::stances;
 
 use super::aids::Aid;
-use super::aids::position::LOOP;
 use super::aids::speed::SPEED;
 use super::horizon::{gap_s, gaps};
 use super::moves::{Move, REST_S, moves};
@@ -125,8 +124,12 @@ impl<'a> Unit<'a> {
         let navigate = |choice: &Choice| {
             let mut navigator = self.placed(&self.start(&rests, choice)?, &steps, choice);
             navigator.record(smooth, moves.iter().map(|one| one.span(self.times_s)).collect());
-            run(&mut navigator, &choice.aids.aids, self.closed(choice).as_ref(), &steps);
-            navigator
+            let closed = choice
+                .loop_m
+                .zip(self.times_s.last())
+                .map(|(sd_m, last_s)| choice.aids.closed(sd_m, choice.start.as_ref(), *last_s));
+            run(&mut navigator, &choice.aids.aids, closed.as_ref(), &steps);
+            Ok(navigator)
         };
         let mut navigator = navigate(choice)?;
         let least = navigator.log_likelihood + SHOWN;
@@ -160,15 +163,15 @@ impl<'a> Unit<'a> {
         path.moves = moves;
         path.smoothed = smooth;
         path.findings = self.findings(choice, method, &navigator, said);
-        if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
-            let text = format!(
-                "no rest at the start: position is measured from the first rest, at {:.2} s",
         if without_rests {
             let text = "the fixes contradict the rests, which were motion without a change of velocity: they are not used";
             let remedy =
                 "--rests FROM-TO gives times at which it rested, --zupt off says that it did not";
             path.findings.push(Code::Navigation.warning(text).remedy(remedy));
         }
+        if let (false, Some(origin)) = (at_rest_first, navigator.origin) {
+            let text = format!(
+                "no rest at the start: position is measured from the first rest, at {:.2} s",
                 self.times_s[origin]
             );
             path.findings.insert(0, Code::Navigation.note(text));
@@ -179,9 +182,6 @@ impl<'a> Unit<'a> {
         Ok(path)
     }
 
-    /// What was noticed, with what is `said` of segments.
-    fn findings(
-        &self,
     /// What may explain fixes that contradict the path: an antenna at a lever arm, and rests that were none.
     fn others(&self, choice: &Choice) -> Vec<Choice> {
         let antenna = choice.aids.of_antenna().filter(|_| choice.profile != Profile::Vehicle);
@@ -195,6 +195,9 @@ impl<'a> Unit<'a> {
         others
     }
 
+    /// What was noticed, with what is `said` of segments.
+    fn findings(
+        &self,
         choice: &Choice,
         method: Method,
         navigator: &Navigator,
@@ -266,19 +269,24 @@ impl<'a> Unit<'a> {
         let framed = choice.start.is_some();
         let begin = |at_rest| Navigator::new(start.clone(), self.times_s[0], at_rest, framed);
         let fix = choice.aids.origin();
-        if framed || !(choice.aids.show_heading() || choice.aids.height().is_some()) {
+        let shows_heading = choice.aids.show_heading();
+        let is_given =
+            choice.start.is_some_and(|pose| pose.heading_rad.is_some() || !shows_heading);
+        if is_given || !(shows_heading || choice.aids.height().is_some()) {
             return begin(at_rest);
         }
+        let is_placed = fix.is_some() || choice.start.is_some();
+        let place = is_placed.then(|| choice.aids.place(choice.start.as_ref()));
         let velocity = choice.aids.velocity(self.times_s[0]).filter(|_| !at_rest);
         let placed = |heading: f64, at_rest| {
             let mut navigator = begin(at_rest);
-            match fix {
-                Some(fix) => navigator.place(choice.aids.place(fix), velocity, heading),
+            match place {
+                Some(place) => navigator.place(place, velocity, heading),
                 None => navigator.frame(choice.aids.height(), heading),
             }
             navigator
         };
-        if !choice.aids.show_heading() {
+        if !shows_heading {
             return placed(start.heading(), at_rest);
         }
         // The forward axis that speeds need is known at some headings only, and likelihoods of other data do not compare.
@@ -345,13 +353,6 @@ impl<'a> Unit<'a> {
             stance_mps: stances[k],
         });
         steps.collect()
-    }
-
-    /// The end of a path that closes.
-    fn closed(&self, choice: &Choice) -> Option<Aid> {
-        let (sd_m, last_s) = choice.loop_m.zip(self.times_s.last())?;
-        let start = choice.start.map_or([0.0; 3], |pose| pose.position_m);
-        Some(Aid::of(&LOOP, *last_s, &start, sd_m))
     }
 
     /// The stances of a foot: the standard deviation of the velocity there, m/s. What does not turn like a foot has none.

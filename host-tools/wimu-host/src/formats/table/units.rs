@@ -65,7 +65,9 @@ pub const MICROSECOND: i64 = 1_000;
 
 /// The entry of a table among whose spellings a text is.
 pub fn spelled<T: Copy>(table: &[(T, &str)], text: &str) -> Option<T> {
-    let has = |(_, spellings): &&(T, &str)| spellings.split(' ').any(|known| known.eq_ignore_ascii_case(text));
+    let has = |(_, spellings): &&(T, &str)| {
+        spellings.split(' ').any(|known| known.eq_ignore_ascii_case(text))
+    };
     table.iter().find(has).map(|(entry, _)| *entry)
 }
 

@@ -148,7 +148,12 @@ fn anchors_in_a_plane_leave_two_paths_and_both_are_named() {
     let mirror = finding(&found, Code::NotObserved, "equally probable").expect("a mirror image");
     assert_eq!(mirror.severity, Severity::Warning);
     assert!(mirror.text.contains("in a plane"), "{mirror}");
-    assert!(found.points[100].position_m[2] > 0.0, "the upper one");
+    // σ of the upper one reaches the lower one.
+    let point = &found.points[100];
+    let [.., up_sd] = point.sigma_m();
+    assert!(point.position_m[2] > 0.0 && (1.0..2.0).contains(&(2.0 * point.position_m[2] / up_sd)));
+    let is_far = |point: &&wimu_host::inertial::PathPoint| point.position_m[2] > 0.8;
+    assert!(found.points.iter().filter(is_far).all(|point| !point.valid));
     // Anchors at different heights have one path.
     assert!(finding(&found_all(), Code::NotObserved, "equally").is_none());
 }

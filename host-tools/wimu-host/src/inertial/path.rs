@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::BufWriter;
 use std::path::Path as FilePath;
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Serialize, Serializer};
 use wimu_nav::filter::Filter;
 use wimu_nav::state::{ATTITUDE, POSITION, VELOCITY};
@@ -113,6 +113,13 @@ impl PathPoint {
     pub fn rate_sigma_rad_s(&self) -> Option<[f64; 3]> {
         let covariance = self.rate_covariance?;
         Some(std::array::from_fn(|i| covariance[i][i].sqrt()))
+    }
+
+    /// Makes it one of two points that are equally probable: half of the square of their distance is added to its covariance.
+    pub(crate) fn or_at(&mut self, other: &Self) {
+        let off = Vector3::from(self.position_m) - Vector3::from(other.position_m);
+        let both = Matrix3::from(self.covariance_m2) + off * off.transpose() * 0.5;
+        self.covariance_m2 = both.into();
     }
 
     /// That of the position in space, m.

@@ -62,7 +62,11 @@ const LINE: f64 = 0.05;
 const FAR: f64 = 20.0;
 
 /// What to do where no position is known to the limit.
-pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> String {
+pub(super) fn remedy(
+    recording: &RangeRecording,
+    anchors_m: &[Vector3<f64>],
+    is_mirrored: bool,
+) -> String {
     let centre = anchors_m.iter().sum::<Vector3<f64>>() / anchors_m.len() as f64;
     let axes = principal_axes(anchors_m, &centre);
     let extent = |axis: usize| {
@@ -76,10 +80,16 @@ pub(super) fn remedy(recording: &RangeRecording, anchors_m: &[Vector3<f64>]) -> 
         format!("check the units: the ranges are {median} m, the anchors within {extent} m")
     } else if !recording.planar && extent(1) < LINE * extent(0) {
         "the anchors are on a line: move one out of it, or leave out `Position U`".to_owned()
+    } else if is_mirrored {
+        SIDE.to_owned()
     } else {
         "give a larger `limit_m` (--setup), or put anchors on more sides".to_owned()
     }
 }
+
+/// What to do about a path that may be its mirror image.
+pub(super) const SIDE: &str = "give the side with --start E,N,U, move an anchor out of the plane, or leave out `Position U` where the unit is as high as \
+                               the anchors";
 
 /// What a run shows.
 pub(super) fn after(recording: &RangeRecording, run: &Run, chosen: &Chosen) -> Vec<Problem> {
@@ -92,8 +102,7 @@ pub(super) fn after(recording: &RangeRecording, run: &Run, chosen: &Chosen) -> V
             at(&chosen.start.position_m),
             at(&other.position_m)
         );
-        let remedy = "give the side with --start E,N,U, or move an anchor out of it";
-        found.push(Code::NotObserved.warning(text).remedy(remedy));
+        found.push(Code::NotObserved.warning(text).remedy(SIDE));
     }
     if chosen.start.inverted {
         let text = "gravity is along the up axis of the anchors: their frame points down";

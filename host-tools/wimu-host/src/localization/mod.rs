@@ -269,12 +269,17 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     noticed.extend(findings::after(recording, &run, &chosen));
+    if let Some(other) = &chosen.other {
+        let others = problem.run(&model, other, choice.smooth).points;
+        run.points.iter_mut().zip(&others).for_each(|(point, other)| point.or_at(other));
+    }
     noticed.extend(findings::unlike(recording, &run, &model));
     let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
     noticed.extend(findings::unobserved(&ranged));
     path.findings = noticed;
     path.ranging = Some(ranged);
-    let remedy = findings::remedy(recording, &ranging.positions_m());
+    let is_mirrored = chosen.other.is_some();
+    let remedy = findings::remedy(recording, &ranging.positions_m(), is_mirrored);
     Ok(path.checked(&recording.name, &remedy)?.ended())
 }
 

@@ -52,8 +52,8 @@ impl OnceEachField {
     }
 }
 
-/// Logarithm of the ratio of two likelihoods above which fixes show their lever arm: half of the χ² quantile, 99.99 %, of three
-/// degrees of freedom.
+/// Logarithm of the ratio of two likelihoods above which another explanation of fixes that contradict the path is taken, (170):
+/// half of the χ² quantile, 99.99 %, of three degrees of freedom.
 const SHOWN: f64 = 10.6;
 
 /// Scale factor and misalignment of an accelerometer that is not calibrated: MPU-9250 datasheet, initial tolerance and

@@ -115,10 +115,10 @@ impl PathPoint {
         Some(std::array::from_fn(|i| covariance[i][i].sqrt()))
     }
 
-    /// Makes it one of two points that are equally probable: half of the square of their distance is added to its covariance.
-    pub(crate) fn or_at(&mut self, other: &Self) {
-        let off = Vector3::from(self.position_m) - Vector3::from(other.position_m);
-        let both = Matrix3::from(self.covariance_m2) + off * off.transpose() * 0.5;
+    /// Makes it one of two points that are equally probable, the other one off by a vector, m: half of its square is added to
+    /// the covariance.
+    pub(crate) fn or_at(&mut self, off_m: Vector3<f64>) {
+        let both = Matrix3::from(self.covariance_m2) + off_m * off_m.transpose() * 0.5;
         self.covariance_m2 = both.into();
     }
 

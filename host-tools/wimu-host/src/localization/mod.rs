@@ -11,7 +11,7 @@ mod run;
 mod scales;
 mod start;
 
-use nalgebra::Rotation3;
+use nalgebra::{Rotation3, Vector3};
 use wimu_nav::navigator::{Sample, Start as Alignment};
 
 pub(crate) use model::Model;
@@ -21,11 +21,12 @@ pub use ranging::Ranging;
 
 use crate::imu::Imu;
 use crate::inertial::aids::{Aid, Mounting};
-use crate::inertial::{Holes, InertialPath, Method, StartPose};
+use crate::inertial::{Holes, InertialPath, Method, PathPoint, StartPose};
 use crate::{Code, Problem, Result};
 use anchors::Misplaced;
 use hypotheses::{Chosen, choose, clock_shift, fits};
 use run::{DELAY_S, Motion, Recording, Run};
+use start::principal_axes;
 
 /// An anchor as its file has it.
 #[derive(Clone, Debug, PartialEq)]
@@ -269,9 +270,8 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
         }
     }
     noticed.extend(findings::after(recording, &run, &chosen));
-    if let Some(other) = &chosen.other {
-        let others = problem.run(&model, other, choice.smooth).points;
-        run.points.iter_mut().zip(&others).for_each(|(point, other)| point.or_at(other));
+    if chosen.other.is_some() {
+        or_mirrored(&mut run.points, &ranging.positions_m(), recording.planar);
     }
     noticed.extend(findings::unlike(recording, &run, &model));
     let (mut path, ranged) = presented(recording, &problem, choice, &model, run);
@@ -281,6 +281,19 @@ fn localized(recording: &RangeRecording, choice: &LocalizationChoice) -> Result<
     let is_mirrored = chosen.other.is_some();
     let remedy = findings::remedy(recording, &ranging.positions_m(), is_mirrored);
     Ok(path.checked(&recording.name, &remedy)?.ended())
+}
+
+/// Makes points one of two that are equally probable: themselves, or their mirror images in the plane of the anchors; in the
+/// plane where all is, in the line of the anchors.
+fn or_mirrored(points: &mut [PathPoint], anchors_m: &[Vector3<f64>], planar: bool) {
+    let centre = anchors_m.iter().sum::<Vector3<f64>>() / anchors_m.len() as f64;
+    let axes = principal_axes(anchors_m, &centre);
+    let normal =
+        if planar { Vector3::z().cross(&axes.column(0)) } else { axes.column(2).into_owned() };
+    for point in points {
+        let from_plane_m = (Vector3::from(point.position_m) - centre).dot(&normal);
+        point.or_at(normal * (2.0 * from_plane_m));
+    }
 }
 
 /// The run with the most probable start and the scales of greatest likelihood.

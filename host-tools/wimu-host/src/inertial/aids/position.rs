@@ -22,7 +22,7 @@ const FIX: Kind = Kind {
 /// Position of an antenna whose lever arm is given, or zero.
 pub static POSITION: Kind = FIX;
 
-/// The same, of a lever arm that nobody has measured: within reach of the unit.
+/// The same of an antenna whose lever arm is not known: 0 ± 1 m. Assumed: it is in reach of the unit.
 pub static ANTENNA: Kind = Kind {
     states: &[
         State { name: "lever arm x", unit: "m", sd: 1.0, walk: 0.0 },

@@ -123,6 +123,25 @@ proptest! {
 }
 
 #[test]
+fn a_covariance_may_be_nearly_singular() {
+    for conditional_sd in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 0.0] {
+        let factor = |row: usize, column: usize| match row.checked_sub(column) {
+            Some(0) => conditional_sd,
+            Some(apart) => 1.0 / (apart + 1) as f64,
+            None => 0.0,
+        };
+        let matrix: [[f64; 12]; 12] = std::array::from_fn(|a| {
+            std::array::from_fn(|b| (0..12).map(|k| factor(a, k) * factor(b, k)).sum())
+        });
+        let covariance = ModelCovariance::from_matrix(&matrix).expect("a covariance");
+        for (a, b) in (0..12).flat_map(|a| (0..12).map(move |b| (a, b))) {
+            let rounding = (covariance.get(a, b) - matrix[a][b]).abs();
+            assert!(rounding < 1e-6, "{conditional_sd}: {a} {b}: {rounding:e}");
+        }
+    }
+}
+
+#[test]
 fn what_is_no_covariance_is_refused() {
     let diagonal = |variance: f64| [[variance, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     for wrong in [

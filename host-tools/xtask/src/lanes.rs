@@ -62,6 +62,8 @@ pub fn run(sh: &Shell, (lane, steps): Lane, only: &[String]) -> Result {
     let temporary = tempfile::Builder::new().prefix("lane-").tempdir()?;
     sh.set_var("TMPDIR", temporary.path());
     sh.set_var("WIMU_LANE", if lane == "check" { "check" } else { "test" });
+    // The same cases each time, so that a commit is not refused by chance; campaigns draw new ones.
+    sh.set_var("PROPTEST_RNG_SEED", "0");
     let run = Run { sh, passed: Cell::new(0), failed: Cell::new(0) };
     let mut table = format!("{:<12}{:>8}{:>8}\n", "step", "wall s", "CPU s");
     let mut row = |name: &str, wall_s: f64, cpu_s: f64| {
